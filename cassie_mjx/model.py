@@ -1,0 +1,210 @@
+"""From MJCF to compiled models: which scene, rate and contacts, for MuJoCo C and for MJX."""
+
+import copy
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from mujoco import mjx
+
+from cassie_mjx import robot
+
+CONTROL_PERIOD_S = 0.032
+SCENES = ("flat", "terrain")
+
+# The floor's counterparts in walking; the referee adds what touches it in a fall.
+WALKING_PAIRS = ("floor:left-foot", "floor:right-foot")
+CONTACTS = ("referee", "walking")
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Which Cassie to compile."""
+
+    physics_hz: int = 2000
+    """Physics steps a second; a whole number of them must fit in the 32 ms of a control step."""
+    scene: str = "flat"
+    """"flat" or "terrain" (z = h sin x)."""
+    contacts: str = "referee"
+    """"referee": feet, shanks and pelvis with the floor, and leg with leg; "walking": the feet with the floor alone."""
+    iterations: int = 100
+    """Most iterations of the constraint solver (Newton); it stops earlier when converged."""
+    ls_iterations: int = 50
+    """Most iterations of each line search in the solver."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a value that names no model."""
+        steps_per_control(self.physics_hz)
+        for name, value, valid in (("scene", self.scene, SCENES), ("contacts", self.contacts, CONTACTS)):
+            if value not in valid:
+                raise ValueError(f"{name}={value!r} is not known; choose one of {', '.join(valid)}.")
+
+
+def steps_per_control(physics_hz: float) -> int:
+    """Physics steps in one control step of 32 ms. Raises ValueError unless that is a whole number."""
+    steps = CONTROL_PERIOD_S * physics_hz
+    if physics_hz <= 0 or abs(steps - round(steps)) > 1e-9:
+        raise ValueError(
+            f"physics_hz={physics_hz:g} does not divide the control step of 32 ms into whole physics steps; "
+            "use 500, 1000 or 2000."
+        )
+    return round(steps)
+
+
+def xml_path(scene: str = "flat") -> Path:
+    """The MJCF of a scene, in a checkout and in an installed package alike."""
+    package = Path(str(files("cassie_mjx")))
+    for folder in (package / "xml", package.parent / "xml"):
+        if (folder / f"scene_{scene}.xml").is_file():
+            return folder / f"scene_{scene}.xml"
+    raise ValueError(f"No scene_{scene}.xml beside the package in {package}; reinstall cassie-mjx.")
+
+
+def load(config: ModelConfig, path: Path | None = None) -> mujoco.MjModel:
+    """Compile the physics of a scene: no visuals, no sensors, motors as published (control in motor N·m).
+
+    Args:
+      config: scene, rate, contacts and solver.
+      path: another MJCF of the same robot instead of the package's scene.
+
+    Raises:
+      ValueError: the file cannot be compiled, or its joints, bodies or motors are not Cassie's.
+    """
+    spec = _read(path or xml_path(config.scene))
+    _strip(spec)
+    if config.contacts == "walking":
+        for pair in [p for p in spec.pairs if p.name not in WALKING_PAIRS]:
+            spec.delete(pair)
+    return _compile(spec, config)
+
+
+def load_for_mjx(config: ModelConfig) -> tuple[mujoco.MjModel, mjx.Model]:
+    """Compile the physics for MJX: as `load`, but the floor under each leg and the pelvis is a plane of its own.
+
+    A plane of its own can follow the terrain's tangent under that leg: any height without compiling anew.
+
+    Returns:
+      The MjModel and its copy on the device.
+    """
+    spec = _read(xml_path("flat"))
+    _strip(spec)
+    floor = spec.geom("floor")
+    for part in ("left", "right", "pelvis"):
+        spec.worldbody.add_geom(name=f"{part}-floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05])
+        spec.geom(f"{part}-floor").contype = spec.geom(f"{part}-floor").conaffinity = 0
+    for pair in list(spec.pairs):
+        if config.contacts == "walking" and pair.name not in WALKING_PAIRS:
+            spec.delete(pair)
+        elif pair.geomname1 == "floor":
+            pair.geomname1 = f"{pair.geomname2.split('-')[0]}-floor"
+    spec.delete(floor)
+    model = _compile(spec, config)
+    return model, mjx.put_model(model)
+
+
+def servo_model(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy whose motors are position servos in joint units: control is the PD target in rad.
+
+    Force = P ctrl - P q - D qdot, clipped to the joint's torque limit: the PD law, evaluated by MuJoCo at every step.
+    """
+    servo = copy.copy(model)
+    servo.actuator_gear[:, 0] = 1.0
+    servo.actuator_gaintype[:] = mujoco.mjtGain.mjGAIN_FIXED
+    servo.actuator_gainprm[:, 0] = robot.P_GAIN
+    servo.actuator_biastype[:] = mujoco.mjtBias.mjBIAS_AFFINE
+    servo.actuator_biasprm[:, 1] = -robot.P_GAIN
+    servo.actuator_biasprm[:, 2] = -robot.D_GAIN
+    servo.actuator_ctrllimited[:] = 0
+    servo.actuator_forcelimited[:] = 1
+    servo.actuator_forcerange[:] = np.stack([-robot.TORQUE_LIMIT, robot.TORQUE_LIMIT], axis=1)
+    return servo
+
+
+def set_terrain(model: mujoco.MjModel, height: float) -> None:
+    """Write the terrain z = h sin x into a terrain scene's height field, in place.
+
+    Args:
+      model: a model of scene_terrain.xml.
+      height: h, m.
+    """
+    columns = model.hfield_ncol[0]
+    radius = model.hfield_size[0, 0]
+    floor = model.geom("floor").id
+    x = model.geom_pos[floor, 0] + np.linspace(-radius, radius, columns)
+    model.hfield_data[:] = np.tile((np.sin(x) + 1) / 2, model.hfield_nrow[0])
+    # MuJoCo wants a positive extent; a micrometre is flat.
+    model.hfield_size[0, 2] = max(2 * height, 1e-6)
+    model.geom_pos[floor, 2] = -height
+
+
+def close_loops(model: mujoco.MjModel, qpos: np.ndarray, tolerance_m: float = 1e-10) -> np.ndarray:
+    """Move the passive joints of `qpos` [35] until the four loops close; pelvis, active joints and springs stay.
+
+    Raises:
+      ValueError: no nearby configuration closes the loops.
+    """
+    free = robot.qvel_index(
+        *(f"{side}-{name}" for side in robot.SIDES for name in ("achilles-rod", "tarsus", "foot-crank", "plantar-rod"))
+    )
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    for _ in range(50):
+        mujoco.mj_fwdPosition(model, data)
+        residual = data.efc_pos[: data.ne].copy()
+        if np.abs(residual).max() < tolerance_m:
+            return data.qpos.copy()
+        jacobian = data.efc_J.reshape(-1, model.nv)[: data.ne, free]
+        move = np.zeros(model.nv)
+        move[free] = -np.linalg.lstsq(jacobian, residual, rcond=1e-9)[0]
+        mujoco.mj_integratePos(model, data.qpos, move, 1.0)
+    raise ValueError(f"The loops stay open by {np.abs(residual).max():.2g} m: these joint angles do not fit the mechanism.")
+
+
+def loop_error(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+    """Largest distance between the two anchors of a loop, m, for each of qpos [..., 35]."""
+    data = mujoco.MjData(model)
+    flat = np.asarray(qpos, float).reshape(-1, model.nq)
+    errors = np.empty(len(flat))
+    for i, configuration in enumerate(flat):
+        data.qpos[:] = configuration
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        anchors = [
+            data.xpos[body] + data.xmat[body].reshape(3, 3) @ anchor
+            for bodies, eq in zip(zip(model.eq_obj1id, model.eq_obj2id, strict=True), model.eq_data, strict=True)
+            for body, anchor in zip(bodies, (eq[:3], eq[3:6]), strict=True)
+        ]
+        errors[i] = np.linalg.norm(np.subtract(anchors[::2], anchors[1::2]), axis=1).max()
+    return errors.reshape(np.shape(qpos)[:-1])
+
+
+def _read(path: Path) -> mujoco.MjSpec:
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise ValueError(f"{path} is not a model that MuJoCo reads: {error}") from error
+
+
+def _strip(spec: mujoco.MjSpec) -> None:
+    """Delete what only eyes and sensors need."""
+    for group in (spec.sensors, spec.cameras, spec.lights, spec.sites):
+        for element in list(group):
+            spec.delete(element)
+    for geom in [g for g in spec.geoms if g.name != "floor" and not g.name.endswith("-collision")]:
+        spec.delete(geom)
+
+
+def _compile(spec: mujoco.MjSpec, config: ModelConfig) -> mujoco.MjModel:
+    spec.option.timestep = 1.0 / config.physics_hz
+    spec.option.iterations = config.iterations
+    spec.option.ls_iterations = config.ls_iterations
+    # A diverged robot keeps its NaN, for the environment to see, instead of jumping back to the start.
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise ValueError(f"MuJoCo cannot compile the model: {error}") from error
+    robot.check(model)
+    return model

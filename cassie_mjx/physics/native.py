@@ -1,0 +1,149 @@
+"""MuJoCo C: a batch of robots on all cores, and the referee of every headline figure."""
+
+import copy
+from collections.abc import Iterator
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from cassie_mjx import robot
+from cassie_mjx.model import ModelConfig, load, servo_model, set_terrain
+from cassie_mjx.physics.types import (
+    BodyState,
+    Disturbance,
+    PhysicsState,
+    check_batch,
+    check_delay,
+    check_start,
+    delayed,
+)
+
+
+class NativePhysics:
+    """Steps robots with `mujoco.batch` on a pool of threads; implements `Physics` on NumPy float64 arrays.
+
+    Without delay the motors are position servos, so that a whole control step is one call into C. With delay the PD law
+    runs here, on the delayed joint states, and the motors take its torque step by step. Not for several Python threads
+    at once.
+    """
+
+    def __init__(self, config: ModelConfig, max_delay: int = 0, threads: int = 0) -> None:
+        """Compile the model.
+
+        Args:
+          config: scene, rate, contacts and solver.
+          max_delay: longest delay that a disturbance will ask for, physics steps; 0 for the faster path.
+          threads: size of the pool; 0 for all cores.
+        """
+        self.model = load(config)
+        self.max_delay = max_delay
+        self._driven = self.model if max_delay else servo_model(self.model)
+        self._threads = threads
+        self._terrain = config.scene == "terrain"
+        self._models: dict[float, mujoco.MjModel] = {}
+        self._batches: dict[int, _Pool] = {}
+        self._kinematics: dict[int, _Kinematics] = {}
+
+    def init(self, qpos: np.ndarray, qvel: np.ndarray) -> PhysicsState:
+        """See `Physics.init`."""
+        qpos, qvel = np.array(qpos, float), np.array(qvel, float)
+        check_start(qpos, qvel)
+        slots = self.max_delay + 1 if self.max_delay else 0
+        history = np.repeat(np.concatenate([qpos, qvel], axis=1)[:, None], slots, axis=1)
+        return PhysicsState(qpos, qvel, np.zeros_like(qvel), np.zeros(len(qpos), np.int32), history)
+
+    def advance(self, state: PhysicsState, target: np.ndarray, disturbance: Disturbance, n_steps: int) -> PhysicsState:
+        """See `Physics.advance`."""
+        check_batch(state, target, disturbance)
+        check_delay(disturbance, self.max_delay)
+        pool = self._load(state, disturbance)
+        if not self.max_delay:
+            pool.ctrl[:] = target
+            for start, stop in _force_segments(state.step, disturbance, n_steps):
+                pool.push[:] = _force(state.step + start, disturbance)
+                pool.batch.step(nstep=stop - start)
+            return pool.state(state.step + n_steps, state.history)
+        for _ in range(n_steps):
+            qpos, qvel = delayed(state, disturbance)
+            q, qdot = qpos[:, robot.ACTIVE_QPOS], qvel[:, robot.ACTIVE_QVEL]
+            pool.ctrl[:] = robot.pd_torque(target, q, qdot) / robot.GEAR
+            pool.push[:] = _force(state.step, disturbance)
+            pool.batch.step()
+            state = pool.state(state.step + 1, state.history.copy())
+            rows = np.arange(len(state.step)), state.step % (self.max_delay + 1)
+            state.history[rows] = np.concatenate([state.qpos, state.qvel], axis=1)
+        return state
+
+    def bodies(self, state: PhysicsState) -> BodyState:
+        """See `Physics.bodies`."""
+        batch_size = len(state.qpos)
+        if batch_size not in self._kinematics:
+            self._kinematics[batch_size] = _Kinematics(Batch(self.model, batch_size, self._threads))
+        return self._kinematics[batch_size](state)
+
+    def _load(self, state: PhysicsState, disturbance: Disturbance) -> "_Pool":
+        batch_size = len(state.qpos)
+        if batch_size not in self._batches:
+            self._batches[batch_size] = _Pool(Batch(self._driven, batch_size, self._threads))
+        pool = self._batches[batch_size]
+        if self._terrain and not np.array_equal(pool.heights, disturbance.terrain):
+            pool.heights = np.array(disturbance.terrain)
+            pool.batch.set_models([self._model_of_height(h) for h in pool.heights.tolist()])
+        pool.qpos[:], pool.qvel[:], pool.warmstart[:] = state.qpos, state.qvel, state.qacc_warmstart
+        return pool
+
+    def _model_of_height(self, height: float) -> mujoco.MjModel:
+        if height not in self._models:
+            model = copy.copy(self._driven)
+            set_terrain(model, height)
+            self._models[height] = model
+        return self._models[height]
+
+
+class _Pool:
+    """A `Batch` of one size with live views of its arrays."""
+
+    def __init__(self, batch: Batch) -> None:
+        self.batch = batch
+        self.heights = np.zeros(0)
+        self.qpos, self.qvel, self.ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
+        self.warmstart = batch.bind("qacc_warmstart")
+        self.push = batch.bind("xfrc_applied")[:, robot.PELVIS_BODY, :3]
+
+    def state(self, step: np.ndarray, history: np.ndarray) -> PhysicsState:
+        return PhysicsState(self.qpos.copy(), self.qvel.copy(), self.warmstart.copy(), step, history)
+
+
+class _Kinematics:
+    """A `Batch` of one size for forward kinematics: its own, so that stepping copies no poses out."""
+
+    def __init__(self, batch: Batch) -> None:
+        self.batch = batch
+        self.qpos, self.qvel = batch.bind("qpos"), batch.bind("qvel")
+        self.bound = {name: batch.bind(name) for name in ("xpos", "xmat", "xipos", "ximat", "cvel", "subtree_com")}
+
+    def __call__(self, state: PhysicsState) -> BodyState:
+        self.qpos[:], self.qvel[:] = state.qpos, state.qvel
+        self.batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
+        matrices = (*state.qpos.shape[:1], -1, 3, 3)
+        return BodyState(
+            xpos=self.bound["xpos"].copy(),
+            xmat=self.bound["xmat"].reshape(matrices).copy(),
+            xipos=self.bound["xipos"].copy(),
+            ximat=self.bound["ximat"].reshape(matrices).copy(),
+            cvel=self.bound["cvel"].copy(),
+            com=self.bound["subtree_com"][:, robot.PELVIS_BODY].copy(),
+        )
+
+
+def _force(step: np.ndarray, disturbance: Disturbance) -> np.ndarray:
+    active = (disturbance.push_start <= step) & (step < disturbance.push_stop)
+    return np.where(active[:, None], disturbance.push, 0.0)
+
+
+def _force_segments(step: np.ndarray, disturbance: Disturbance, n_steps: int) -> Iterator[tuple[int, int]]:
+    """Stretches of the next `n_steps` in which no robot's push starts or stops."""
+    edges = np.concatenate([disturbance.push_start - step, disturbance.push_stop - step, [0, n_steps]])
+    return pairwise(np.unique(edges[(edges >= 0) & (edges <= n_steps)]).tolist())

@@ -1,0 +1,154 @@
+"""What both physics engines take and give: states, disturbances and body poses, batched over robots (axis B)."""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
+
+import jax
+import mujoco
+import numpy as np
+
+Array = np.ndarray | jax.Array
+
+
+@partial(jax.tree_util.register_dataclass)
+@dataclass(frozen=True)
+class PhysicsState:
+    """Everything that physics carries from one step to the next.
+
+    Attributes:
+      qpos: generalised positions in MuJoCo's order, [B, 35]: m, unit quaternions w x y z, rad.
+      qvel: generalised velocities, [B, 32]: m/s world frame, rad/s body frame for the pelvis, rad/s for the joints.
+      qacc_warmstart: the solver's starting point, [B, 32], m/s² and rad/s².
+      step: physics steps since `init`, [B], int32.
+      history: the last states, (qpos, qvel) side by side, [B, max_delay + 1, 67]; slot `step % (max_delay + 1)` is the
+        present one. [B, 0, 67] on an engine without delay.
+    """
+
+    qpos: Array
+    qvel: Array
+    qacc_warmstart: Array
+    step: Array
+    history: Array
+
+
+@partial(jax.tree_util.register_dataclass)
+@dataclass(frozen=True)
+class Disturbance:
+    """What the world does to each robot, besides its motors.
+
+    Attributes:
+      push: force at the pelvis' centre of mass, [B, 3], N, world frame.
+      push_start: first physics step under the push, [B], int32, counted as `PhysicsState.step`.
+      push_stop: first physics step after the push, [B], int32.
+      delay: age of the state that the PD loop and the policy see, [B], int32, physics steps.
+      terrain: height h of the terrain z = h sin x, [B], m.
+    """
+
+    push: Array
+    push_start: Array
+    push_stop: Array
+    delay: Array
+    terrain: Array
+
+    @classmethod
+    def none(cls, batch: int) -> "Disturbance":
+        """Undisturbed walking on a flat floor, for `batch` robots."""
+        steps = np.zeros(batch, np.int32)
+        return cls(np.zeros((batch, 3)), steps, steps, steps, np.zeros(batch))
+
+
+@partial(jax.tree_util.register_dataclass)
+@dataclass(frozen=True)
+class BodyState:
+    """Poses and velocities of all bodies (26, the world first) in the world frame.
+
+    Attributes:
+      xpos: origins of the body frames, [B, 26, 3], m.
+      xmat: rotations from body to world, [B, 26, 3, 3].
+      xipos: centres of mass, [B, 26, 3], m.
+      ximat: rotations from the inertia's principal frame to world, [B, 26, 3, 3].
+      cvel: angular velocity (rad/s), then the velocity (m/s) of the body's point at `com`, [B, 26, 6].
+      com: centre of mass of the robot, [B, 3], m.
+    """
+
+    xpos: Array
+    xmat: Array
+    xipos: Array
+    ximat: Array
+    cvel: Array
+    com: Array
+
+
+class Physics(Protocol):
+    """One engine: advances a batch of robots under PD targets and disturbances. States go in and come out, none is kept."""
+
+    model: mujoco.MjModel
+    max_delay: int
+
+    def init(self, qpos: Array, qvel: Array) -> PhysicsState:
+        """The state at physics step 0, with a history that has always been this state.
+
+        Raises ValueError for shapes other than [B, 35] and [B, 32], and for values that are not finite.
+        """
+        ...
+
+    def advance(self, state: PhysicsState, target: Array, disturbance: Disturbance, n_steps: int) -> PhysicsState:
+        """Advance `n_steps` physics steps with the PD targets [B, 10] (rad) held.
+
+        The torque follows the joint state at every physics step, or, on an engine with `max_delay` > 0, the state
+        `disturbance.delay` steps old. Raises ValueError for shapes that do not fit together.
+        """
+        ...
+
+    def bodies(self, state: PhysicsState) -> BodyState:
+        """Forward kinematics of the present state."""
+        ...
+
+
+def delayed(state: PhysicsState, disturbance: Disturbance) -> tuple[Array, Array]:
+    """(qpos [B, 35], qvel [B, 32]) as sensed: `disturbance.delay` physics steps old where the engine keeps a history."""
+    slots = state.history.shape[-2]
+    if slots == 0:
+        return state.qpos, state.qvel
+    slot = (state.step - disturbance.delay) % slots
+    index = slot[:, None, None]
+    xp = jax.numpy if isinstance(state.history, jax.Array) else np
+    seen = xp.take_along_axis(state.history, index, axis=1)[:, 0]
+    return seen[:, : state.qpos.shape[-1]], seen[:, state.qpos.shape[-1] :]
+
+
+def check_batch(state: PhysicsState, target: Array, disturbance: Disturbance) -> None:
+    """Raise ValueError unless state, targets and disturbance describe the same number of robots."""
+    batch = state.qpos.shape[0]
+    for name, array, tail in (
+        ("target", target, (10,)),
+        ("disturbance.push", disturbance.push, (3,)),
+        ("disturbance.push_start", disturbance.push_start, ()),
+        ("disturbance.push_stop", disturbance.push_stop, ()),
+        ("disturbance.delay", disturbance.delay, ()),
+        ("disturbance.terrain", disturbance.terrain, ()),
+    ):
+        if array.shape != (batch, *tail):
+            raise ValueError(f"{name} has shape {array.shape}; for {batch} robots it must be {(batch, *tail)}.")
+
+
+def check_start(qpos: Array, qvel: Array) -> None:
+    """Raise ValueError unless qpos is [B, 35], qvel [B, 32] and all values are finite."""
+    if qpos.ndim != 2 or qvel.ndim != 2 or qpos.shape[1] != 35 or qvel.shape != (qpos.shape[0], 32):
+        raise ValueError(f"qpos and qvel have shapes {qpos.shape} and {qvel.shape}; they must be [B, 35] and [B, 32].")
+    for name, array in (("qpos", qpos), ("qvel", qvel)):
+        bad = np.argwhere(~np.isfinite(np.asarray(array)))
+        if len(bad):
+            robot, index = bad[0]
+            raise ValueError(f"{name}[{robot}, {index}] is {array[robot, index]}; a starting state must be finite.")
+
+
+def check_delay(disturbance: Disturbance, max_delay: int) -> None:
+    """Raise ValueError for a delay outside 0..max_delay physics steps."""
+    worst = np.max(np.abs(np.asarray(disturbance.delay)), initial=0)
+    if np.min(disturbance.delay, initial=0) < 0 or worst > max_delay:
+        raise ValueError(
+            f"A delay of {worst} physics steps was asked of an engine made for 0 to {max_delay}; "
+            f"make it with max_delay={worst}."
+        )

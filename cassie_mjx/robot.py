@@ -1,0 +1,172 @@
+"""Cassie's names, gains, limits, standing pose and left/right mirror; names become indices here and nowhere else.
+
+Figures: the public MuJoCo model of the Dynamic Robotics Laboratory (osudrl/cassie-mujoco-sim) and, for the PD gains, osudrl/apex.
+"""
+
+from collections.abc import Iterable
+
+import jax
+import mujoco
+import numpy as np
+
+SIDES = ("left", "right")
+ACTIVE = ("hip-roll", "hip-yaw", "hip-pitch", "knee", "foot")
+SPRUNG = ("shin", "tarsus")
+
+# One leg's joints in qpos order with their number of coordinates (qpos, qvel).
+_LEG_JOINTS = (
+    ("hip-roll", 1, 1),
+    ("hip-yaw", 1, 1),
+    ("hip-pitch", 1, 1),
+    ("achilles-rod", 4, 3),
+    ("knee", 1, 1),
+    ("shin", 1, 1),
+    ("tarsus", 1, 1),
+    ("heel-spring", 1, 1),
+    ("foot-crank", 1, 1),
+    ("plantar-rod", 1, 1),
+    ("foot", 1, 1),
+)
+_LEG_BODIES = (
+    "hip-roll",
+    "hip-yaw",
+    "hip-pitch",
+    "achilles-rod",
+    "knee",
+    "knee-spring",
+    "shin",
+    "tarsus",
+    "heel-spring",
+    "foot-crank",
+    "plantar-rod",
+    "foot",
+)
+
+JOINTS = (("pelvis", 7, 6), *((f"{side}-{name}", nq, nv) for side in SIDES for name, nq, nv in _LEG_JOINTS))
+BODIES = ("world", "cassie-pelvis", *(f"{side}-{name}" for side in SIDES for name in _LEG_BODIES))
+ACTUATORS = tuple(f"{side}-{name}" for side in SIDES for name in ACTIVE)
+NQ, NV, NU = 35, 32, 10
+
+_ENDS_Q = np.cumsum([nq for _, nq, _ in JOINTS])
+_ENDS_V = np.cumsum([nv for _, _, nv in JOINTS])
+_QPOS = {name: np.arange(end - nq, end) for (name, nq, _), end in zip(JOINTS, _ENDS_Q, strict=True)}
+_QVEL = {name: np.arange(end - nv, end) for (name, _, nv), end in zip(JOINTS, _ENDS_V, strict=True)}
+
+
+def _gather(table: dict[str, np.ndarray], what: str, names: Iterable[str]) -> np.ndarray:
+    names = list(names)
+    missing = [name for name in names if name not in table]
+    if missing:
+        raise ValueError(f"Cassie has no {what} named {', '.join(missing)}; it has {', '.join(table)}.")
+    return np.concatenate([table[name] for name in names])
+
+
+def qpos_index(*names: str) -> np.ndarray:
+    """Indices into qpos of the named joints, in the order given. Raises ValueError for a name Cassie lacks."""
+    return _gather(_QPOS, "joint", names)
+
+
+def qvel_index(*names: str) -> np.ndarray:
+    """Indices into qvel of the named joints, in the order given. Raises ValueError for a name Cassie lacks."""
+    return _gather(_QVEL, "joint", names)
+
+
+def body_index(*names: str) -> np.ndarray:
+    """Indices of the named bodies, in the order given. Raises ValueError for a name Cassie lacks."""
+    return _gather({name: np.array([i]) for i, name in enumerate(BODIES)}, "body", names)
+
+
+ACTIVE_QPOS = qpos_index(*ACTUATORS)
+ACTIVE_QVEL = qvel_index(*ACTUATORS)
+SPRUNG_NAMES = tuple(f"{side}-{name}" for side in SIDES for name in SPRUNG)
+SPRUNG_QPOS = qpos_index(*SPRUNG_NAMES)
+SPRUNG_QVEL = qvel_index(*SPRUNG_NAMES)
+SHIN_QPOS = qpos_index("left-shin", "right-shin")
+PELVIS_BODY = int(body_index("cassie-pelvis")[0])
+FOOT_BODIES = body_index("left-foot", "right-foot")
+
+# Ends of the foot's contact capsule in the foot body's frame, m; its radius is 0.02 m.
+TOE = np.array([-0.052821, 0.092622, 0.0])
+HEEL = np.array([0.069746, -0.010224, 0.0])
+
+# PD gains and torque limits of the ten active joints, joint side: N·m/rad, N·m·s/rad, N·m.
+P_GAIN = np.tile([100.0, 100.0, 88.0, 96.0, 50.0], 2)
+D_GAIN = np.tile([10.0, 10.0, 8.0, 9.6, 5.0], 2)
+TORQUE_LIMIT = np.tile([112.5, 112.5, 195.2, 195.2, 45.0], 2)
+GEAR = np.tile([25.0, 25.0, 16.0, 16.0, 50.0], 2)
+
+# The standing pose's active joints, rad; the right hip-roll mirrors the left.
+STANDING_ACTIVE = np.array([0.0045, 0.0, 0.4973, -1.1997, -1.5968, -0.0045, 0.0, 0.4973, -1.1997, -1.5968])
+STANDING_HEIGHT_M = 1.01
+
+Array = np.ndarray | jax.Array
+
+
+def pd_torque(target: Array, q: Array, qdot: Array) -> Array:
+    """Joint torque of the PD law, N·m, for NumPy and JAX arrays alike.
+
+    Args:
+      target: PD target of the active joints, [..., 10], rad.
+      q: active joint angles, [..., 10], rad.
+      qdot: active joint velocities, [..., 10], rad/s.
+
+    Returns:
+      tau = clip(P (target - q) - D qdot, -limit, limit), [..., 10].
+    """
+    return (P_GAIN * (target - q) - D_GAIN * qdot).clip(-TORQUE_LIMIT, TORQUE_LIMIT)
+
+
+def torque_as_target(torque: Array, q: Array, qdot: Array) -> Array:
+    """The PD target, rad, [..., 10], whose PD law gives `torque` (N·m) at joint state (q, qdot)."""
+    return q + (torque + D_GAIN * qdot) / P_GAIN
+
+
+def _mirror_table(root: list[int], ball: list[int], size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Permutation and signs that take a state to its mirror image in the plane y = 0."""
+    table, joint_size = (_QPOS, 4) if size == NQ else (_QVEL, 3)
+    order, sign = np.arange(size), np.ones(size, int)
+    sign[: len(root)] = root
+    for (name, *_), (side, other) in ((j, s) for j in _LEG_JOINTS for s in (SIDES, SIDES[::-1])):
+        order[table[f"{side}-{name}"]] = table[f"{other}-{name}"]
+        if name in ("hip-roll", "hip-yaw"):
+            sign[table[f"{side}-{name}"]] = -1
+        elif len(table[f"{side}-{name}"]) == joint_size:
+            sign[table[f"{side}-{name}"]] = ball
+    return order, sign
+
+
+_QPOS_ORDER, _QPOS_SIGN = _mirror_table([1, -1, 1, 1, -1, 1, -1], [1, -1, -1, 1], NQ)
+_QVEL_ORDER, _QVEL_SIGN = _mirror_table([1, -1, 1, -1, 1, -1], [-1, -1, 1], NV)
+_ACTIVE_ORDER = np.roll(np.arange(NU), NU // 2)
+_ACTIVE_SIGN = np.tile([-1, -1, 1, 1, 1], 2)
+
+
+def mirror_qpos(qpos: Array) -> Array:
+    """Reflect qpos [..., 35] in the plane y = 0: the left leg's state becomes the right's."""
+    return qpos[..., _QPOS_ORDER] * _QPOS_SIGN
+
+
+def mirror_qvel(qvel: Array) -> Array:
+    """Reflect qvel [..., 32] in the plane y = 0."""
+    return qvel[..., _QVEL_ORDER] * _QVEL_SIGN
+
+
+def mirror_active(values: Array) -> Array:
+    """Reflect values of the ten active joints [..., 10] (targets, torques, actions) in the plane y = 0."""
+    return values[..., _ACTIVE_ORDER] * _ACTIVE_SIGN
+
+
+def check(model: mujoco.MjModel) -> None:
+    """Raise ValueError unless `model` has Cassie's joints, bodies and actuators in Cassie's order."""
+    for what, expected, found in (
+        ("joint", tuple(name for name, *_ in JOINTS), tuple(model.joint(i).name for i in range(model.njnt))),
+        ("body", BODIES, tuple(model.body(i).name for i in range(model.nbody))),
+        ("actuator", ACTUATORS, tuple(model.actuator(i).name for i in range(model.nu))),
+    ):
+        missing = [name for name in expected if name not in found]
+        if missing:
+            raise ValueError(f"The model lacks the {what} {', '.join(missing)}; it has {', '.join(found)}.")
+        if expected != found:
+            raise ValueError(
+                f"The model's order of its {what} list is not Cassie's: got {', '.join(found)}; want {', '.join(expected)}."
+            )
