@@ -7,7 +7,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from mujoco import mjx
 
 from cassie_mjx import robot
 
@@ -16,7 +15,7 @@ SCENES = ("flat", "terrain")
 
 # The floor's counterparts in walking; the referee adds what touches it in a fall.
 WALKING_PAIRS = ("floor:left-foot", "floor:right-foot")
-CONTACTS = ("referee", "walking")
+CONTACTS = ("walking", "referee", "published")
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,8 @@ class ModelConfig:
     scene: str = "flat"
     """"flat" or "terrain" (z = h sin x)."""
     contacts: str = "referee"
-    """"referee": feet, shanks and pelvis with the floor, and leg with leg; "walking": the feet with the floor alone."""
+    """"walking": the feet with the floor alone; "referee": also shanks and pelvis with the floor, and leg with leg;
+    "published": also the thighs with the floor, as in the published model."""
     iterations: int = 100
     """Most iterations of the constraint solver (Newton); it stops earlier when converged."""
     ls_iterations: int = 50
@@ -53,6 +53,10 @@ def steps_per_control(physics_hz: float) -> int:
     return round(steps)
 
 
+MJX_TRAINING = ModelConfig(physics_hz=1000, contacts="walking", iterations=4, ls_iterations=6)
+"""What MJX trains on; `experiments.solver` has the measurements it is chosen by."""
+
+
 def xml_path(scene: str = "flat") -> Path:
     """The MJCF of a scene, in a checkout and in an installed package alike."""
     package = Path(str(files("cassie_mjx")))
@@ -74,19 +78,15 @@ def load(config: ModelConfig, path: Path | None = None) -> mujoco.MjModel:
     """
     spec = _read(path or xml_path(config.scene))
     _strip(spec)
-    if config.contacts == "walking":
-        for pair in [p for p in spec.pairs if p.name not in WALKING_PAIRS]:
-            spec.delete(pair)
+    _choose_pairs(spec, config.contacts)
     return _compile(spec, config)
 
 
-def load_for_mjx(config: ModelConfig) -> tuple[mujoco.MjModel, mjx.Model]:
+def load_for_mjx(config: ModelConfig) -> mujoco.MjModel:
     """Compile the physics for MJX: as `load`, but the floor under each leg and the pelvis is a plane of its own.
 
-    A plane of its own can follow the terrain's tangent under that leg: any height without compiling anew.
-
-    Returns:
-      The MjModel and its copy on the device.
+    A plane of its own can follow the terrain's tangent under that leg: any height without compiling anew. So both
+    scenes are one model here, and `config.scene` does not matter.
     """
     spec = _read(xml_path("flat"))
     _strip(spec)
@@ -94,14 +94,12 @@ def load_for_mjx(config: ModelConfig) -> tuple[mujoco.MjModel, mjx.Model]:
     for part in ("left", "right", "pelvis"):
         spec.worldbody.add_geom(name=f"{part}-floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05])
         spec.geom(f"{part}-floor").contype = spec.geom(f"{part}-floor").conaffinity = 0
-    for pair in list(spec.pairs):
-        if config.contacts == "walking" and pair.name not in WALKING_PAIRS:
-            spec.delete(pair)
-        elif pair.geomname1 == "floor":
+    _choose_pairs(spec, config.contacts)
+    for pair in spec.pairs:
+        if pair.geomname1 == "floor":
             pair.geomname1 = f"{pair.geomname2.split('-')[0]}-floor"
     spec.delete(floor)
-    model = _compile(spec, config)
-    return model, mjx.put_model(model)
+    return _compile(spec, config)
 
 
 def servo_model(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -139,6 +137,11 @@ def set_terrain(model: mujoco.MjModel, height: float) -> None:
     model.geom_pos[floor, 2] = -height
 
 
+def standing(model: mujoco.MjModel) -> np.ndarray:
+    """The keyframe "standing", qpos [35], which `robot.STANDING_TARGET` holds."""
+    return model.key("standing").qpos.copy()
+
+
 def close_loops(model: mujoco.MjModel, qpos: np.ndarray, tolerance_m: float = 1e-10) -> np.ndarray:
     """Move the passive joints of `qpos` [35] until the four loops close; pelvis, active joints and springs stay.
 
@@ -150,6 +153,7 @@ def close_loops(model: mujoco.MjModel, qpos: np.ndarray, tolerance_m: float = 1e
     )
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
+    residual = np.full(1, np.inf)
     for _ in range(50):
         mujoco.mj_fwdPosition(model, data)
         residual = data.efc_pos[: data.ne].copy()
@@ -159,7 +163,9 @@ def close_loops(model: mujoco.MjModel, qpos: np.ndarray, tolerance_m: float = 1e
         move = np.zeros(model.nv)
         move[free] = -np.linalg.lstsq(jacobian, residual, rcond=1e-9)[0]
         mujoco.mj_integratePos(model, data.qpos, move, 1.0)
-    raise ValueError(f"The loops stay open by {np.abs(residual).max():.2g} m: these joint angles do not fit the mechanism.")
+    raise ValueError(
+        f"The loops stay open by {np.abs(residual).max():.2g} m: these joint angles do not fit the mechanism."
+    )
 
 
 def loop_error(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
@@ -194,6 +200,16 @@ def _strip(spec: mujoco.MjSpec) -> None:
             spec.delete(element)
     for geom in [g for g in spec.geoms if g.name != "floor" and not g.name.endswith("-collision")]:
         spec.delete(geom)
+
+
+def _choose_pairs(spec: mujoco.MjSpec, contacts: str) -> None:
+    if contacts == "published":
+        for side in robot.SIDES:
+            thigh = spec.add_pair(spec.find_default("floor"), name=f"floor:{side}-hip-pitch")
+            thigh.geomname1, thigh.geomname2 = "floor", f"{side}-hip-pitch-collision"
+    elif contacts == "walking":
+        for pair in [pair for pair in spec.pairs if pair.name not in WALKING_PAIRS]:
+            spec.delete(pair)
 
 
 def _compile(spec: mujoco.MjSpec, config: ModelConfig) -> mujoco.MjModel:

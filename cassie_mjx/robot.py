@@ -1,11 +1,12 @@
 """Cassie's names, gains, limits, standing pose and left/right mirror; names become indices here and nowhere else.
 
-Figures: the public MuJoCo model of the Dynamic Robotics Laboratory (osudrl/cassie-mujoco-sim) and, for the PD gains, osudrl/apex.
+Figures: the public MuJoCo model of the Dynamic Robotics Laboratory (osudrl/cassie-mujoco-sim)
+and, for the PD gains, osudrl/apex.
 """
 
 from collections.abc import Iterable
+from typing import Any, TypeAlias
 
-import jax
 import mujoco
 import numpy as np
 
@@ -95,11 +96,17 @@ D_GAIN = np.tile([10.0, 10.0, 8.0, 9.6, 5.0], 2)
 TORQUE_LIMIT = np.tile([112.5, 112.5, 195.2, 195.2, 45.0], 2)
 GEAR = np.tile([25.0, 25.0, 16.0, 16.0, 50.0], 2)
 
-# The standing pose's active joints, rad; the right hip-roll mirrors the left.
-STANDING_ACTIVE = np.array([0.0045, 0.0, 0.4973, -1.1997, -1.5968, -0.0045, 0.0, 0.4973, -1.1997, -1.5968])
-STANDING_HEIGHT_M = 1.01
+# Targets under which the PD law holds the keyframe "standing": the published standing angles for hips and knees, with
+# what gravity takes, and the foot angle that puts the centre of mass over the feet.
+STANDING_TARGET = np.array(
+    [
+        *(0.02215507, 0.0, 0.43555917, -0.77139378, -1.63988603),
+        *(-0.02215507, 0.0, 0.43555917, -0.77139378, -1.63988603),
+    ]
+)
 
-Array = np.ndarray | jax.Array
+Array: TypeAlias = Any
+"""A NumPy or a JAX array; the functions below serve both."""
 
 
 def pd_torque(target: Array, q: Array, qdot: Array) -> Array:
@@ -168,5 +175,5 @@ def check(model: mujoco.MjModel) -> None:
             raise ValueError(f"The model lacks the {what} {', '.join(missing)}; it has {', '.join(found)}.")
         if expected != found:
             raise ValueError(
-                f"The model's order of its {what} list is not Cassie's: got {', '.join(found)}; want {', '.join(expected)}."
+                f"The model's {what} order is not Cassie's: got {', '.join(found)}; want {', '.join(expected)}."
             )

@@ -1,15 +1,17 @@
 """MJX: the same physics as pure functions of one robot, vmapped and jitted; made for accelerators."""
 
 from functools import partial
+from typing import cast
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from mujoco import mjx
 
 from cassie_mjx import robot
-from cassie_mjx.model import ModelConfig, load_for_mjx
 from cassie_mjx.physics.types import (
+    Array,
     BodyState,
     Disturbance,
     PhysicsState,
@@ -21,22 +23,24 @@ from cassie_mjx.physics.types import (
 
 
 class MjxPhysics:
-    """Steps robots with MJX; implements `Physics` on JAX arrays. `advance` is traceable: jit or scan over it at will."""
+    """Steps robots with MJX; implements `Physics` on JAX arrays. Its methods can be traced: jit or scan over them."""
 
-    def __init__(self, config: ModelConfig, max_delay: int = 0) -> None:
-        """Compile the model.
+    def __init__(self, model: mujoco.MjModel, max_delay: int = 0) -> None:
+        """Put the model on the device.
 
         Args:
-          config: scene, rate, contacts and solver. Both scenes are one model here: the floor under each leg and the
-            pelvis is a plane that follows the tangent of z = h sin x.
+          model: from `cassie_mjx.model.load_for_mjx`. Flat floor and terrain are one model here: the floor under each
+            leg and the pelvis is a plane that follows the tangent of z = h sin x.
           max_delay: longest delay that a disturbance will ask for, physics steps.
         """
-        self.model, self._mjx = load_for_mjx(config)
+        self.model, self._mjx = model, mjx.put_model(model)
         self.max_delay = max_delay
         self._loops = _LoopBias(self._mjx)
-        self._floors = _Floors(self._mjx) if config.scene == "terrain" else None
+        self._floors = _Floors(model)
+        self._advance = jax.jit(self._scan, static_argnums=3)
+        self._bodies = jax.jit(self._kinematics)
 
-    def init(self, qpos: jax.Array, qvel: jax.Array) -> PhysicsState:
+    def init(self, qpos: Array, qvel: Array) -> PhysicsState:
         """See `Physics.init`."""
         if not isinstance(qpos, jax.core.Tracer):
             check_start(qpos, qvel)
@@ -45,7 +49,7 @@ class MjxPhysics:
         history = jnp.repeat(jnp.concatenate([qpos, qvel], axis=1)[:, None], slots, axis=1)
         return PhysicsState(qpos, qvel, jnp.zeros_like(qvel), jnp.zeros(len(qpos), jnp.int32), history)
 
-    def advance(self, state: PhysicsState, target: jax.Array, disturbance: Disturbance, n_steps: int) -> PhysicsState:
+    def advance(self, state: PhysicsState, target: Array, disturbance: Disturbance, n_steps: int) -> PhysicsState:
         """See `Physics.advance`."""
         check_batch(state, target, disturbance)
         if not isinstance(disturbance.delay, jax.core.Tracer):
@@ -56,18 +60,18 @@ class MjxPhysics:
         """See `Physics.bodies`."""
         return self._bodies(state)
 
-    @partial(jax.jit, static_argnums=(0, 4))
-    def _advance(self, state: PhysicsState, target: jax.Array, disturbance: Disturbance, n_steps: int) -> PhysicsState:
+    def _scan(self, state: PhysicsState, target: Array, disturbance: Disturbance, n_steps: int) -> PhysicsState:
         dtype = state.qpos.dtype
-        cast = partial(jax.tree.map, lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x)
-        target, disturbance = cast(jnp.asarray(target)), cast(jax.tree.map(jnp.asarray, disturbance))
+        target, disturbance = jax.tree.map(partial(_as_floats, dtype), (target, disturbance))
 
         def substep(state: PhysicsState, _: None) -> tuple[PhysicsState, None]:
             qpos, qvel = delayed(state, disturbance)
             torque = robot.pd_torque(target, qpos[:, robot.ACTIVE_QPOS], qvel[:, robot.ACTIVE_QVEL]).astype(dtype)
             pushed = (disturbance.push_start <= state.step) & (state.step < disturbance.push_stop)
-            push = jnp.where(pushed[:, None], disturbance.push, 0)
-            moved = jax.vmap(self._step)(state.qpos, state.qvel, state.qacc_warmstart, torque, push, disturbance.terrain)
+            push = disturbance.push * pushed[:, None]
+            moved = jax.vmap(self._step)(
+                state.qpos, state.qvel, state.qacc_warmstart, torque, push, disturbance.terrain
+            )
             return self._record(PhysicsState(*moved, state.step + 1, state.history)), None
 
         return jax.lax.scan(substep, state, None, length=n_steps)[0]
@@ -77,7 +81,7 @@ class MjxPhysics:
             return state
         now = jnp.concatenate([state.qpos, state.qvel], axis=1)
         slot = state.step % (self.max_delay + 1)
-        history = jax.vmap(lambda h, i, x: h.at[i].set(x))(state.history, slot, now)
+        history = state.history.at[jnp.arange(len(slot)), slot].set(now)
         return PhysicsState(state.qpos, state.qvel, state.qacc_warmstart, state.step, history)
 
     def _step(
@@ -94,8 +98,7 @@ class MjxPhysics:
         """Forward dynamics of one robot under joint torques [10] and a push [3]: `d.qacc` and all that leads to it."""
         m = self._mjx
         d = mjx.kinematics(m, d)
-        if self._floors:
-            d = self._floors.place(d, h)
+        d = self._floors.place(d, h)
         d = mjx.com_pos(m, d)
         d = mjx.crb(m, d)
         d = mjx.factor_m(m, d)
@@ -112,8 +115,7 @@ class MjxPhysics:
         d = mjx.fwd_acceleration(m, d)
         return mjx.solve(m, d)
 
-    @partial(jax.jit, static_argnums=0)
-    def _bodies(self, state: PhysicsState) -> BodyState:
+    def _kinematics(self, state: PhysicsState) -> BodyState:
         def one(qpos: jax.Array, qvel: jax.Array) -> BodyState:
             d = mjx.make_data(self._mjx).replace(qpos=qpos, qvel=qvel)
             d = mjx.com_vel(self._mjx, mjx.com_pos(self._mjx, mjx.kinematics(self._mjx, d)))
@@ -122,11 +124,16 @@ class MjxPhysics:
         return jax.vmap(one)(state.qpos, state.qvel)
 
 
+def _as_floats(dtype: jnp.dtype, x: Array) -> jax.Array:
+    """Floating-point values in the state's precision, integers as they are."""
+    return jnp.asarray(x, dtype) if jnp.issubdtype(x.dtype, jnp.floating) else jnp.asarray(x)
+
+
 class _LoopBias:
     """The term J̇v of the four `connect` constraints, which MJX 3.17 leaves out and MuJoCo C has.
 
-    A loop's constraint asks for J qacc + J̇v = aref; MJX solves J qacc = aref. The term is the difference of the anchors'
-    accelerations at qacc = 0, and it matters as soon as the rods turn.
+    A loop's constraint asks for J qacc + J̇v = aref; MJX solves J qacc = aref. The term is the difference of the
+    anchors' accelerations at qacc = 0, and it matters as soon as the rods turn.
     """
 
     def __init__(self, m: mjx.Model) -> None:
@@ -149,15 +156,15 @@ class _LoopBias:
         # a_p = a_c + alpha x r + omega x v_p, with v_p = v_c + omega x r
         acceleration = a_c + jnp.cross(alpha, r) + jnp.cross(omega, v_c + jnp.cross(omega, r))
         jdot_v = (acceleration[0] - acceleration[1]).ravel()
-        return d.tree_replace({"_impl.efc_aref": d._impl.efc_aref.at[: jdot_v.size].add(-jdot_v)})
+        aref = d._impl.efc_aref.at[: jdot_v.size].add(-jdot_v)
+        return cast(mjx.Data, d.tree_replace({"_impl.efc_aref": aref}))
 
 
 class _Floors:
     """The planes under the left leg, the right leg and the pelvis as tangents of the terrain z = h sin x."""
 
-    def __init__(self, m: mjx.Model) -> None:
-        names = ("left-floor", "right-floor", "pelvis-floor")
-        self.geoms = np.array([mjx.name2id(m, mjx.ObjType.GEOM, name) for name in names])
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.geoms = np.array([model.geom(f"{part}-floor").id for part in ("left", "right", "pelvis")])
         self.feet = robot.FOOT_BODIES
         self.foot_centre = (robot.TOE + robot.HEEL) / 2
 
@@ -169,7 +176,9 @@ class _Floors:
         # Columns of each rotation: the tangent (1, 0, h cos x) / n, the y axis, the normal (-h cos x, 0, 1) / n.
         n = jnp.sqrt(1 + slope**2)
         one = jnp.ones_like(x)
-        rotation = jnp.stack([1 / n, zero, -slope / n, zero, one, zero, slope / n, zero, 1 / n], axis=1).reshape(-1, 3, 3)
+        rotation = jnp.stack([1 / n, zero, -slope / n, zero, one, zero, slope / n, zero, 1 / n], axis=1).reshape(
+            -1, 3, 3
+        )
         return d.replace(
             geom_xpos=d.geom_xpos.at[self.geoms].set(position), geom_xmat=d.geom_xmat.at[self.geoms].set(rotation)
         )

@@ -9,8 +9,9 @@ import numpy as np
 from mujoco.batch import Batch
 
 from cassie_mjx import robot
-from cassie_mjx.model import ModelConfig, load, servo_model, set_terrain
+from cassie_mjx.model import servo_model, set_terrain
 from cassie_mjx.physics.types import (
+    Array,
     BodyState,
     Disturbance,
     PhysicsState,
@@ -29,24 +30,24 @@ class NativePhysics:
     at once.
     """
 
-    def __init__(self, config: ModelConfig, max_delay: int = 0, threads: int = 0) -> None:
-        """Compile the model.
+    def __init__(self, model: mujoco.MjModel, max_delay: int = 0, threads: int = 0) -> None:
+        """Make the engine of one model.
 
         Args:
-          config: scene, rate, contacts and solver.
+          model: from `cassie_mjx.model.load`; only a terrain scene answers to `Disturbance.terrain`.
           max_delay: longest delay that a disturbance will ask for, physics steps; 0 for the faster path.
           threads: size of the pool; 0 for all cores.
         """
-        self.model = load(config)
+        self.model = model
         self.max_delay = max_delay
         self._driven = self.model if max_delay else servo_model(self.model)
         self._threads = threads
-        self._terrain = config.scene == "terrain"
+        self._terrain = model.nhfield > 0
         self._models: dict[float, mujoco.MjModel] = {}
         self._batches: dict[int, _Pool] = {}
         self._kinematics: dict[int, _Kinematics] = {}
 
-    def init(self, qpos: np.ndarray, qvel: np.ndarray) -> PhysicsState:
+    def init(self, qpos: Array, qvel: Array) -> PhysicsState:
         """See `Physics.init`."""
         qpos, qvel = np.array(qpos, float), np.array(qvel, float)
         check_start(qpos, qvel)
@@ -54,7 +55,7 @@ class NativePhysics:
         history = np.repeat(np.concatenate([qpos, qvel], axis=1)[:, None], slots, axis=1)
         return PhysicsState(qpos, qvel, np.zeros_like(qvel), np.zeros(len(qpos), np.int32), history)
 
-    def advance(self, state: PhysicsState, target: np.ndarray, disturbance: Disturbance, n_steps: int) -> PhysicsState:
+    def advance(self, state: PhysicsState, target: Array, disturbance: Disturbance, n_steps: int) -> PhysicsState:
         """See `Physics.advance`."""
         check_batch(state, target, disturbance)
         check_delay(disturbance, self.max_delay)

@@ -1,17 +1,17 @@
 """What both physics engines take and give: states, disturbances and body poses, batched over robots (axis B)."""
 
 from dataclasses import dataclass
-from functools import partial
-from typing import Protocol
+from typing import Any, Protocol, TypeAlias
 
 import jax
 import mujoco
 import numpy as np
 
-Array = np.ndarray | jax.Array
+Array: TypeAlias = Any
+"""A NumPy array of float64 on MuJoCo C, a JAX array on MJX."""
 
 
-@partial(jax.tree_util.register_dataclass)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PhysicsState:
     """Everything that physics carries from one step to the next.
@@ -32,7 +32,7 @@ class PhysicsState:
     history: Array
 
 
-@partial(jax.tree_util.register_dataclass)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Disturbance:
     """What the world does to each robot, besides its motors.
@@ -58,7 +58,7 @@ class Disturbance:
         return cls(np.zeros((batch, 3)), steps, steps, steps, np.zeros(batch))
 
 
-@partial(jax.tree_util.register_dataclass)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class BodyState:
     """Poses and velocities of all bodies (26, the world first) in the world frame.
@@ -81,7 +81,7 @@ class BodyState:
 
 
 class Physics(Protocol):
-    """One engine: advances a batch of robots under PD targets and disturbances. States go in and come out, none is kept."""
+    """One engine: advances a batch of robots under PD targets and disturbances. It keeps no state of theirs."""
 
     model: mujoco.MjModel
     max_delay: int
@@ -107,15 +107,13 @@ class Physics(Protocol):
 
 
 def delayed(state: PhysicsState, disturbance: Disturbance) -> tuple[Array, Array]:
-    """(qpos [B, 35], qvel [B, 32]) as sensed: `disturbance.delay` physics steps old where the engine keeps a history."""
-    slots = state.history.shape[-2]
+    """State as sensed, (qpos [B, 35], qvel [B, 32]): `disturbance.delay` physics steps old if there is a history."""
+    slots = state.history.shape[1]
     if slots == 0:
         return state.qpos, state.qvel
     slot = (state.step - disturbance.delay) % slots
-    index = slot[:, None, None]
-    xp = jax.numpy if isinstance(state.history, jax.Array) else np
-    seen = xp.take_along_axis(state.history, index, axis=1)[:, 0]
-    return seen[:, : state.qpos.shape[-1]], seen[:, state.qpos.shape[-1] :]
+    seen = state.history[np.arange(len(state.history)), slot]
+    return seen[:, : state.qpos.shape[1]], seen[:, state.qpos.shape[1] :]
 
 
 def check_batch(state: PhysicsState, target: Array, disturbance: Disturbance) -> None:

@@ -1,0 +1,103 @@
+"""`key=value` command lines as frozen dataclasses, and the record of where a result came from."""
+
+import datetime
+import importlib.metadata
+import json
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import jax
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "brax", "flax", "optax", "numpy")
+
+C = TypeVar("C")
+
+
+def parse(config_class: type[C], arguments: Sequence[str]) -> C:
+    """Read `key=value` arguments into the frozen dataclass `config_class`.
+
+    Raises:
+      ValueError: an argument that is not `key=value`, an unknown key, or a value of the wrong type.
+    """
+    valid = ", ".join(field.name for field in fields(config_class))  # type: ignore[arg-type]
+    for argument in arguments:
+        key, equals, _ = argument.partition("=")
+        if not equals:
+            raise ValueError(f"{argument!r} is not of the form key=value; the keys are {valid}.")
+        if key not in valid.split(", "):
+            raise ValueError(f"{key!r} is not a key; the keys are {valid}.")
+    try:
+        merged = OmegaConf.merge(OmegaConf.structured(config_class), OmegaConf.from_dotlist(list(arguments)))
+        return OmegaConf.to_object(merged)  # type: ignore[return-value]
+    except OmegaConfBaseException as error:
+        raise ValueError(f"{' '.join(arguments)}: {str(error).splitlines()[0]}.") from error
+
+
+def run(main: Callable[[C], None], config_class: type[C]) -> None:
+    """Run a command: parse `sys.argv`, call `main`; a ValueError or OSError ends it with one sentence and status 2.
+
+    Compiled programs are kept in JAX's persistent cache, unless the environment names another folder for it.
+    """
+    if not jax.config.jax_compilation_cache_dir:
+        jax.config.update("jax_compilation_cache_dir", str(Path.home() / ".cache" / "cassie-mjx"))
+    try:
+        main(parse(config_class, sys.argv[1:]))
+    except (ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+def check_writable(out: str) -> Path:
+    """The path `out`, or ValueError if no file can be written there. For the door, before hours of work."""
+    path = Path(out)
+    if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise ValueError(f"out={out} cannot be written; name a file in an existing folder that you may write to.")
+    return path
+
+
+def provenance(**more: Any) -> dict[str, Any]:
+    """Where a result comes from: command, commit, date, hardware, versions, and whatever else is given."""
+    module = getattr(sys.modules["__main__"], "__spec__", None)
+    name = module.name.removesuffix(".__main__") if module else Path(sys.argv[0]).name
+    return {
+        "command": " ".join(["python -m", name, *sys.argv[1:]]),
+        "commit": _commit(),
+        "date": datetime.date.today().isoformat(),
+        "hardware": f"{_processor()}, {os.cpu_count()} cores",
+        "python": platform.python_version(),
+        "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
+        **more,
+    }
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write `content` to `path` whole or not at all."""
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(json.dumps(content, indent=1) + "\n")
+    partial.replace(path)
+
+
+def _commit() -> str:
+    git = ["git", "-C", str(Path(__file__).parent)]
+    try:
+        commit = subprocess.run([*git, "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=True)
+        changes = subprocess.run([*git, "status", "--porcelain", "-uno"], capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return "not a checkout"
+    return commit.stdout.strip() + ("+changes" if changes.stdout.strip() else "")
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())

@@ -1,0 +1,1 @@
+"""One recipe for each experiment; each writes a JSON result with its provenance."""
