@@ -90,11 +90,11 @@ class MjxPhysics:
         """One physics step of one robot: `mjx.step` less what Cassie has not, plus the loops' bias acceleration."""
         m = self._mjx
         d = mjx.make_data(m).replace(qpos=qpos, qvel=qvel, qacc_warmstart=warmstart)
-        d = self._dynamics(d, torque, push, h)
+        d = self.dynamics(d, torque, push, h)
         d = mjx.euler(m, d)
         return d.qpos, d.qvel, d.qacc_warmstart
 
-    def _dynamics(self, d: mjx.Data, torque: jax.Array, push: jax.Array, h: jax.Array) -> mjx.Data:
+    def dynamics(self, d: mjx.Data, torque: jax.Array, push: jax.Array, h: jax.Array) -> mjx.Data:
         """Forward dynamics of one robot under joint torques [10] and a push [3]: `d.qacc` and all that leads to it."""
         m = self._mjx
         d = mjx.kinematics(m, d)

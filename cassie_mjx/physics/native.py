@@ -59,6 +59,11 @@ class NativePhysics:
         """See `Physics.advance`."""
         check_batch(state, target, disturbance)
         check_delay(disturbance, self.max_delay)
+        if not self._terrain and np.any(disturbance.terrain):
+            height = np.max(disturbance.terrain)
+            raise ValueError(
+                f"A terrain of {height:g} m was asked of a flat scene; load the model with scene='terrain'."
+            )
         pool = self._load(state, disturbance)
         if not self.max_delay:
             pool.ctrl[:] = target

@@ -1,0 +1,191 @@
+"""MJX against MuJoCo C from the same states, and against the deadlock of jaxlib 0.10."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from mujoco import mjx
+
+from cassie_mjx import robot
+from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx, loop_error, servo_model
+from cassie_mjx.physics.mjx import MjxPhysics
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.physics.types import Disturbance
+
+CONVERGED = ModelConfig(physics_hz=1000, contacts="walking", iterations=50, ls_iterations=50)
+BATCH = 8
+
+
+@pytest.fixture(scope="module")
+def physics():
+    return MjxPhysics(load_for_mjx(MJX_TRAINING), max_delay=8)
+
+
+@pytest.fixture(scope="module")
+def referee():
+    """MuJoCo C at the same rate and with the same contacts, converged."""
+    return NativePhysics(load(replace(CONVERGED, iterations=100)), max_delay=8)
+
+
+def walking_velocity(model, qpos, rng, scale):
+    """A random velocity, rad/s and m/s, that the closed loops allow."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    loops = data.efc_J.reshape(-1, model.nv)[: data.ne]
+    velocity = scale * rng.normal(size=model.nv)
+    return velocity - np.linalg.pinv(loops) @ (loops @ velocity)
+
+
+@pytest.fixture(scope="module")
+def states(referee, standing_qpos):
+    """BATCH robots: one at rest, the others at walking velocities; their targets, a push, and delays of 0 to 7 ms."""
+    rng = np.random.default_rng(3)
+    scales = np.array([0, 0.3, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5])
+    qvel = np.stack([walking_velocity(referee.model, standing_qpos, rng, scale) for scale in scales])
+    targets = robot.STANDING_TARGET + 0.1 * rng.normal(size=(BATCH, robot.NU))
+    disturbance = replace(
+        Disturbance.none(BATCH),
+        push=rng.uniform(-80, 80, (BATCH, 3)),
+        push_start=np.arange(BATCH, dtype=np.int32) * 3,
+        push_stop=np.arange(BATCH, dtype=np.int32) * 3 + 25,
+        delay=np.arange(BATCH, dtype=np.int32),
+    )
+    return np.tile(standing_qpos, (BATCH, 1)), qvel, targets, disturbance
+
+
+@pytest.mark.parametrize(("scale", "needs_term"), [(0.0, False), (1.0, True), (3.0, True)])
+def test_acceleration_equals_mujoco_c_in_float64(standing_qpos, scale, needs_term, monkeypatch):
+    """To 1e-6 of qacc's largest, J̇v of the loops included; without that term it is off by far more once robots move."""
+    with jax.enable_x64(True):
+        physics = MjxPhysics(load_for_mjx(CONVERGED))
+        servo = servo_model(load(CONVERGED))
+        servo.opt.tolerance = 0
+        rng = np.random.default_rng(0)
+        qpos = standing_qpos - np.array([0, 0, 0.003] + [0] * 32)
+        qvel = walking_velocity(servo, qpos, rng, scale)
+        data = mujoco.MjData(servo)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = qpos, qvel, robot.STANDING_TARGET
+        data.xfrc_applied[robot.PELVIS_BODY, :3] = [50, -30, 10]
+        mujoco.mj_forward(servo, data)
+
+        def qacc():
+            torque = robot.pd_torque(robot.STANDING_TARGET, qpos[robot.ACTIVE_QPOS], qvel[robot.ACTIVE_QVEL])
+            blank = mjx.make_data(physics.model).replace(qpos=jnp.asarray(qpos), qvel=jnp.asarray(qvel))
+            push = jnp.array([50.0, -30, 10])
+            return np.asarray(jax.jit(physics.dynamics)(blank, jnp.asarray(torque), push, jnp.zeros(())).qacc)
+
+        assert data.ncon == 4
+        np.testing.assert_allclose(qacc(), data.qacc, atol=1e-6 * max(1, np.abs(data.qacc).max()))
+        if needs_term:
+            monkeypatch.setattr(physics._loops, "add", lambda d: d)
+            assert np.abs(qacc() - data.qacc).max() > 0.1
+
+
+def test_float32_over_one_and_ten_control_steps(physics, referee, states):
+    """Pushed, delayed and at walking velocities: within 0.1 mm and 1 mrad after 32 ms; the same motion after 320 ms."""
+    qpos, qvel, targets, disturbance = states
+    c = referee.init(qpos, qvel)
+    x = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
+    c = referee.advance(c, targets, disturbance, 32)
+    x = physics.advance(x, targets, disturbance, 32)
+    np.testing.assert_allclose(x.qpos, c.qpos, atol=1e-3)
+    np.testing.assert_allclose(x.qpos[:, :3], c.qpos[:, :3], atol=1e-4)
+    for _ in range(9):
+        c = referee.advance(c, targets, disturbance, 32)
+        x = physics.advance(x, targets, disturbance, 32)
+    np.testing.assert_allclose(x.qpos[:, :3], c.qpos[:, :3], atol=5e-3)
+    np.testing.assert_allclose(x.qpos[:, robot.ACTIVE_QPOS], c.qpos[:, robot.ACTIVE_QPOS], atol=2e-2)
+    np.testing.assert_array_equal(x.step, c.step)
+
+
+def test_standing_has_the_same_outcome_in_both_engines(physics, referee, standing_qpos):
+    qpos, qvel = np.tile(standing_qpos, (BATCH, 1)), np.zeros((BATCH, robot.NV))
+    targets = np.tile(robot.STANDING_TARGET, (BATCH, 1))
+    c = referee.init(qpos, qvel)
+    x = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
+    for _ in range(63):
+        c = referee.advance(c, targets, Disturbance.none(BATCH), 32)
+        x = physics.advance(x, targets, Disturbance.none(BATCH), 32)
+        np.testing.assert_allclose(x.qpos[:, 2], c.qpos[:, 2], atol=2e-3)
+        assert loop_error(referee.model, np.asarray(x.qpos)).max() < 1e-3
+    np.testing.assert_allclose(x.qpos[:, 2], standing_qpos[2], atol=2e-3)
+
+
+def test_terrain_agrees_with_the_height_field(physics, standing_qpos):
+    """Feet on slopes and crests of several heights: tangent planes here, a height field there."""
+    heights = np.linspace(0, 0.3, BATCH)
+    qpos = np.tile(standing_qpos, (BATCH, 1))
+    qpos[:, 0] = np.linspace(0, 2 * np.pi, BATCH)
+    qpos[:, 2] += heights * np.sin(qpos[:, 0]) + 0.02 * heights / 0.3
+    qvel = np.zeros((BATCH, robot.NV))
+    targets = np.tile(robot.STANDING_TARGET, (BATCH, 1))
+    disturbance = replace(Disturbance.none(BATCH), terrain=heights)
+    hills = NativePhysics(load(replace(CONVERGED, scene="terrain", iterations=100)))
+    c = hills.advance(hills.init(qpos, qvel), targets, disturbance, 192)
+    x = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
+    for _ in range(6):
+        x = physics.advance(x, targets, disturbance, 32)
+    flat = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
+    for _ in range(6):
+        flat = physics.advance(flat, targets, Disturbance.none(BATCH), 32)
+    np.testing.assert_allclose(x.qpos[:, :3], c.qpos[:, :3], atol=6e-3)
+    assert np.abs(flat.qpos[:, :3] - c.qpos[:, :3]).max() > 0.05
+
+
+def test_bodies_are_those_of_mujoco_c(physics, referee, states):
+    qpos, qvel, _, _ = states
+    ours = physics.bodies(physics.init(qpos.astype(np.float32), qvel.astype(np.float32)))
+    theirs = referee.bodies(referee.init(qpos, qvel))
+    for name in ("xpos", "xmat", "xipos", "ximat", "cvel", "com"):
+        np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), atol=2e-5, err_msg=name)
+
+
+def test_advance_can_be_scanned_inside_a_jit(physics, states):
+    qpos, qvel, targets, disturbance = states
+    state = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
+
+    @jax.jit
+    def three_steps(state, targets):
+        return jax.lax.scan(lambda s, _: (physics.advance(s, targets, disturbance, 32), None), state, None, length=3)[0]
+
+    scanned = three_steps(state, jnp.asarray(targets, jnp.float32))
+    for _ in range(3):
+        state = physics.advance(state, targets, disturbance, 32)
+    np.testing.assert_allclose(scanned.qpos, state.qpos, atol=1e-3)
+
+
+def test_bad_input_gets_one_sentence(physics, states):
+    qpos, qvel, targets, disturbance = states
+    with pytest.raises(ValueError, match=r"qvel\[0, 3\] is inf"):
+        physics.init(qpos, np.where(np.arange(robot.NV) == 3, np.inf, qvel))
+    state = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
+    with pytest.raises(ValueError, match=r"target has shape \(8, 9\)"):
+        physics.advance(state, targets[:, 1:], disturbance, 1)
+    with pytest.raises(ValueError, match="delay of 9 physics steps .* 0 to 8"):
+        physics.advance(state, targets, replace(disturbance, delay=disturbance.delay + 2), 1)
+
+
+@pytest.mark.parametrize("batch", [64, 256])
+def test_large_batches_finish(batch):
+    """jaxlib 0.10 hangs here on machines with few cores: its batched Cholesky waits for the thread pool it runs on."""
+    program = f"""
+import jax, numpy as np
+jax.config.update("jax_compilation_cache_dir", {str(jax.config.jax_compilation_cache_dir)!r})
+from cassie_mjx import robot
+from cassie_mjx.model import MJX_TRAINING, load_for_mjx, standing
+from cassie_mjx.physics.mjx import MjxPhysics
+from cassie_mjx.physics.types import Disturbance
+physics = MjxPhysics(load_for_mjx(MJX_TRAINING))
+qpos = np.tile(standing(physics.model), ({batch}, 1)).astype(np.float32)
+state = physics.init(qpos, np.zeros(({batch}, 32), np.float32))
+state = physics.advance(state, np.tile(robot.STANDING_TARGET, ({batch}, 1)), Disturbance.none({batch}), 32)
+print(float(np.mean(state.qpos[:, 2])))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=240, check=True)
+    assert float(done.stdout.splitlines()[-1]) == pytest.approx(0.988, abs=0.002)
