@@ -1,0 +1,222 @@
+"""Proximal policy optimisation (Schulman et al. 2017) as two pure functions: `init` and `update`."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, Int, Key
+
+from cassie_mjx.config import PPOConfig
+from cassie_mjx.ppo import loss, networks, normalizer
+from cassie_mjx.ppo.advantage import average, generalized_advantage, standardize
+from cassie_mjx.ppo.types import LearnerState, Params, Policy, Rollout, UpdateMetrics
+
+# The step size is left alone while the KL divergence is within KL_BAND times its target, either way, and changes by
+# KL_STEP otherwise: a small step, because the divergence of one iteration is noisy.
+KL_BAND = 1.5
+KL_STEP = 1.3
+# In training the factor settles at 0.2 to 0.35; the bounds only stop a run-away, such as when all rewards are equal.
+STEP_FACTOR_BOUNDS = (0.01, 10.0)
+
+
+class LearningRates(NamedTuple):
+    """Adam's step sizes in one iteration."""
+
+    actor: Float[Array, ""]
+    critic: Float[Array, ""]
+
+
+class _Losses(NamedTuple):
+    actor: Float[Array, ""]
+    critic: Float[Array, ""]
+
+
+class _Batch(NamedTuple):
+    inputs: Float[Array, "N O"]
+    action: Float[Array, "N A"]
+    log_prob: Float[Array, " N"]
+    advantage: Float[Array, " N"]
+    value_target: Float[Array, " N"]
+
+
+def init(key: Key[Array, ""], config: PPOConfig, observation_size: int, action_size: int) -> LearnerState:
+    """Draw an untrained learner, whose normaliser has seen nothing yet.
+
+    Raises:
+        ValueError: a size is not positive.
+    """
+    if observation_size < 1 or action_size < 1:
+        raise ValueError(f"Sizes must be at least 1, not {observation_size} (observation) and {action_size} (action).")
+    actor_key, critic_key = jax.random.split(key)
+    actor = networks.init(actor_key, observation_size, config.hidden_sizes, action_size, config.actor_output_scale)
+    critic = networks.init(critic_key, observation_size, config.hidden_sizes, 1)
+    return LearnerState(
+        policy=Policy(normalizer.init(observation_size), actor),
+        critic=critic,
+        actor_optimizer=_actor_optimizer(config).init(actor),
+        critic_optimizer=_critic_optimizer(config).init(critic),
+        step_factor=jnp.ones(()),
+        iteration=jnp.zeros((), jnp.int32),
+    )
+
+
+@partial(jax.jit, static_argnames=("config", "axis_name"))
+def update(
+    config: PPOConfig, state: LearnerState, rollout: Rollout, key: Key[Array, ""], axis_name: str | None = None
+) -> tuple[LearnerState, UpdateMetrics]:
+    """Learn from one rollout: `config.updates_per_iteration` minibatch updates of actor and critic.
+
+    On several devices, call it inside `jax.shard_map(..., check_vma=False)` with the rollout split along its robots
+    and with state and key the same everywhere; gradients, advantage statistics and metrics are then averaged over
+    `axis_name`, and every device returns the same state.
+
+    Args:
+        config: how to learn; sizes count over all devices.
+        state: the learner so far. The policy in it must be the one that collected the rollout.
+        rollout: `config.num_steps` x `config.num_robots` samples, or this device's robots of them.
+        key: shuffles the minibatches; used up here.
+        axis_name: mapped device axis over which the robots are spread, if any.
+
+    Returns:
+        The new state and what to log.
+
+    Raises:
+        ValueError: the rollout is not of the size that `config` says, or does not divide among the devices.
+    """
+    devices = 1 if axis_name is None else jax.lax.axis_size(axis_name)
+    _check_sizes(config, rollout, devices)
+    batch, explained_variance = _prepare(config, state, rollout, axis_name)
+    rates = learning_rates(config, state)
+
+    def train_on(state: LearnerState, rows: Int[Array, " M"]) -> tuple[LearnerState, _Losses]:
+        return _train(config, state, jax.tree.map(lambda x: x[rows], batch), rates, axis_name)
+
+    minibatch_size = config.minibatch_size // devices
+    rows = _shuffled_rows(key, batch.log_prob.shape[0], config.updates_per_iteration, minibatch_size)
+    trained, losses = jax.lax.scan(train_on, state, rows)
+
+    log_prob = _log_prob(trained.policy.actor, batch, config)
+    local = {
+        "reward": rollout.reward.mean(),
+        "terminated": rollout.terminated.mean(dtype=log_prob.dtype),
+        "truncated": rollout.truncated.mean(dtype=log_prob.dtype),
+        "actor_loss": losses.actor.mean(),
+        "critic_loss": losses.critic.mean(),
+        "kl": loss.kl_estimate(log_prob, batch.log_prob),
+        "clip_fraction": loss.clip_fraction(log_prob, batch.log_prob, config.clip_epsilon),
+    }
+    metrics = UpdateMetrics(
+        **average(local, axis_name),
+        explained_variance=explained_variance,
+        actor_learning_rate=rates.actor,
+        critic_learning_rate=rates.critic,
+    )
+    step_factor = _adapt(config, state.step_factor, metrics.kl)
+    return trained._replace(step_factor=step_factor, iteration=state.iteration + 1), metrics
+
+
+def learning_rates(config: PPOConfig, state: LearnerState) -> LearningRates:
+    """Return the step sizes of the coming update."""
+    actor_rate = config.actor_learning_rate * _schedule(config, config.actor_schedule, state.iteration)
+    critic_rate = config.critic_learning_rate * _schedule(config, config.critic_schedule, state.iteration)
+    return LearningRates(actor_rate * state.step_factor, critic_rate)
+
+
+def _schedule(config: PPOConfig, name: str, iteration: Int[Array, ""]) -> Float[Array, ""]:
+    done = iteration.astype(jnp.float32)
+    if name == "linear":
+        factor = 1.0 - done / config.iterations
+    elif name == "exponential":
+        factor = config.learning_rate_decay**done
+    else:
+        factor = jnp.ones(())
+    return jnp.maximum(factor, config.learning_rate_floor)
+
+
+def _adapt(config: PPOConfig, step_factor: Float[Array, ""], kl: Float[Array, ""]) -> Float[Array, ""]:
+    if config.target_kl is None:
+        return step_factor
+    too_far, too_short = kl > config.target_kl * KL_BAND, kl < config.target_kl / KL_BAND
+    adapted = jnp.where(too_far, step_factor / KL_STEP, jnp.where(too_short, step_factor * KL_STEP, step_factor))
+    return jnp.clip(adapted, *STEP_FACTOR_BOUNDS)
+
+
+def _prepare(
+    config: PPOConfig, state: LearnerState, rollout: Rollout, axis_name: str | None
+) -> tuple[_Batch, Float[Array, ""]]:
+    inputs = normalizer.normalize(state.policy.normalizer, rollout.observation)
+    final_inputs = normalizer.normalize(state.policy.normalizer, rollout.final_observation)
+    value = networks.critic_value(state.critic, inputs)
+    next_value = networks.critic_value(state.critic, final_inputs)
+    advantage, value_target = generalized_advantage(
+        rollout.reward, value, next_value, rollout.terminated, rollout.truncated, config.gamma, config.gae_lambda
+    )
+    explained_variance = loss.explained_variance(value, value_target, axis_name)
+    if config.normalize_advantage:
+        advantage = standardize(advantage, axis_name)
+    batch = _Batch(inputs, rollout.action, rollout.log_prob, advantage, value_target)
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), batch), explained_variance
+
+
+def _shuffled_rows(key: Key[Array, ""], samples: int, updates: int, size: int) -> Int[Array, "updates size"]:
+    # One shuffled pass after another, cut into minibatches: every sample is used equally often, to within one.
+    passes = -(-updates * size // samples)
+    order = jax.vmap(lambda pass_key: jax.random.permutation(pass_key, samples))(jax.random.split(key, passes))
+    return order.reshape(-1)[: updates * size].reshape(updates, size)
+
+
+def _train(
+    config: PPOConfig, state: LearnerState, minibatch: _Batch, rates: LearningRates, axis_name: str | None
+) -> tuple[LearnerState, _Losses]:
+    actor_loss, actor_gradient = jax.value_and_grad(_actor_loss)(state.policy.actor, minibatch, config)
+    critic_loss, critic_gradient = jax.value_and_grad(_critic_loss)(state.critic, minibatch)
+    actor_gradient, critic_gradient = average((actor_gradient, critic_gradient), axis_name)
+
+    actor_step, actor_optimizer = _actor_optimizer(config).update(actor_gradient, state.actor_optimizer)
+    critic_step, critic_optimizer = _critic_optimizer(config).update(critic_gradient, state.critic_optimizer)
+    trained = state._replace(
+        policy=state.policy._replace(actor=_descend(state.policy.actor, actor_step, rates.actor)),
+        critic=_descend(state.critic, critic_step, rates.critic),
+        actor_optimizer=actor_optimizer,
+        critic_optimizer=critic_optimizer,
+    )
+    return trained, _Losses(actor_loss, critic_loss)
+
+
+def _log_prob(actor: Params, batch: _Batch, config: PPOConfig) -> Float[Array, " N"]:
+    return networks.log_prob(networks.actor_mean(actor, batch.inputs), config.action_std, batch.action)
+
+
+def _actor_loss(actor: Params, batch: _Batch, config: PPOConfig) -> Float[Array, ""]:
+    log_prob = _log_prob(actor, batch, config)
+    return loss.clipped_surrogate(log_prob, batch.log_prob, batch.advantage, config.clip_epsilon)
+
+
+def _critic_loss(critic: Params, batch: _Batch) -> Float[Array, ""]:
+    return loss.squared_error(networks.critic_value(critic, batch.inputs), batch.value_target)
+
+
+def _actor_optimizer(config: PPOConfig) -> optax.GradientTransformation:
+    bound = optax.identity() if config.max_grad_norm is None else optax.clip_by_global_norm(config.max_grad_norm)
+    return optax.chain(bound, optax.scale_by_adam(eps=config.adam_epsilon))
+
+
+def _critic_optimizer(config: PPOConfig) -> optax.GradientTransformation:
+    return optax.scale_by_adam(eps=config.adam_epsilon)
+
+
+def _descend(params: Params, step: optax.Updates, learning_rate: Float[Array, ""]) -> Params:
+    return jax.tree.map(lambda p, s: p - learning_rate * s, params, step)
+
+
+def _check_sizes(config: PPOConfig, rollout: Rollout, devices: int) -> None:
+    for name in ("num_robots", "minibatch_size"):
+        if getattr(config, name) % devices:
+            raise ValueError(f"{name} is {getattr(config, name)}; it must be a multiple of the {devices} devices.")
+    given, expected = tuple(rollout.reward.shape), (config.num_steps, config.num_robots // devices)
+    if given != expected:
+        raise ValueError(
+            f"The rollout is {given} steps x robots; num_steps and num_robots call for {expected} a device."
+        )

@@ -1,0 +1,91 @@
+"""Actor and critic, and the Gaussian policy of fixed width that the actor is the mean of."""
+
+import math
+from typing import cast
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+from cassie_mjx.ppo.normalizer import normalize
+from cassie_mjx.ppo.types import Params, Policy
+
+
+class MLP(nn.Module):
+    """Dense layers with ReLU between them, He-initialised (He et al. 2015), zero bias."""
+
+    widths: tuple[int, ...]
+    """Outputs of each layer, first to last; the last layer is linear."""
+    output_scale: float = 1.0
+    """Factor on the initial weights of the last layer."""
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch outputs"]:
+        """Apply the layers; parameters are named hidden_0, hidden_1, ... and output."""
+        *hidden, outputs = self.widths
+        for i, width in enumerate(hidden):
+            x = nn.relu(nn.Dense(width, kernel_init=nn.initializers.he_normal(), name=f"hidden_{i}")(x))
+        scaled_he = nn.initializers.variance_scaling(2.0 * self.output_scale**2, "fan_in", "truncated_normal")
+        return nn.Dense(outputs, kernel_init=scaled_he, name="output")(x)
+
+
+def init(
+    key: Key[Array, ""], inputs: int, hidden_sizes: tuple[int, ...], outputs: int, output_scale: float = 1.0
+) -> Params:
+    """Draw the parameters of a network with `inputs` inputs, ReLU layers of `hidden_sizes` and `outputs` outputs."""
+    return MLP((*hidden_sizes, outputs), output_scale).init(key, jnp.zeros(inputs))["params"]
+
+
+def layers(params: Params) -> list[tuple[Array, Array]]:
+    """Return (W [inputs, outputs], b [outputs]) of each layer, first to last: enough to run the network elsewhere."""
+    hidden = [params[f"hidden_{i}"] for i in range(len(params) - 1)]
+    return [(layer["kernel"], layer["bias"]) for layer in (*hidden, params["output"])]
+
+
+def actor_mean(params: Params, inputs: Float[Array, "*batch O"]) -> Float[Array, "*batch A"]:
+    """Return the mean action, within +-1, for normalised observations."""
+    return jnp.tanh(_apply(params, inputs))
+
+
+def critic_value(params: Params, inputs: Float[Array, "*batch O"]) -> Float[Array, "*batch"]:
+    """Return the value for normalised observations."""
+    return _apply(params, inputs).squeeze(-1)
+
+
+def mode(policy: Policy, observation: Float[Array, "*batch O"]) -> Float[Array, "*batch A"]:
+    """Return the deterministic action, which is the mean."""
+    return actor_mean(policy.actor, normalize(policy.normalizer, observation))
+
+
+def sample(
+    policy: Policy, observation: Float[Array, "*batch O"], std: float | Float[Array, ""], key: Key[Array, ""]
+) -> tuple[Float[Array, "*batch A"], Float[Array, "*batch"]]:
+    """Draw an action, mean + std x noise; the noise is not squashed, so an action may leave +-1.
+
+    Args:
+        policy: normaliser and actor.
+        observation: as the environment gives it.
+        std: standard deviation of every action, rad.
+        key: used up here.
+
+    Returns:
+        The action and its log density.
+    """
+    mean = mode(policy, observation)
+    action = mean + std * jax.random.normal(key, mean.shape, mean.dtype)
+    return action, log_prob(mean, std, action)
+
+
+def log_prob(
+    mean: Float[Array, "*batch A"], std: float | Float[Array, ""], action: Float[Array, "*batch A"]
+) -> Float[Array, "*batch"]:
+    """Return the log density of `action` under a Gaussian with standard deviation `std` on every axis, nats."""
+    # log N(a; mu, sigma^2 I) = -|a - mu|^2 / (2 sigma^2) - A log(sigma sqrt(2 pi))
+    squares = jnp.square((action - mean) / std).sum(axis=-1)
+    return -0.5 * squares - action.shape[-1] * (jnp.log(std) + 0.5 * math.log(2.0 * math.pi))
+
+
+def _apply(params: Params, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch outputs"]:
+    widths = tuple(bias.shape[0] for _, bias in layers(params))
+    return cast(Array, MLP(widths).apply({"params": params}, x))

@@ -1,0 +1,119 @@
+"""Collecting experience: one loop for an environment that can be compiled, one for an environment on the host.
+
+Both use their keys alike, so a deterministic environment written twice gives the same rollout through either.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key
+
+from cassie_mjx.config import PPOConfig
+from cassie_mjx.ppo import networks
+from cassie_mjx.ppo import normalizer as normalization
+from cassie_mjx.ppo.types import EnvState, Normalizer, Policy, Rollout, Step
+
+Collect = Callable[[Policy, Any, Key[Array, ""]], tuple[Any, Rollout]]
+"""`collect(policy, env_state, key) -> env_state, rollout`: either function below with `step` and `config` bound."""
+
+
+@partial(jax.jit, static_argnames=("step", "config"))
+def collect(step: Step, config: PPOConfig, policy: Policy, env_state: Any, key: Key[Array, ""]) -> tuple[Any, Rollout]:
+    """Take `config.num_steps` control steps in one compiled loop.
+
+    Args:
+        step: the environment; compiled, so it must be a pure JAX function, and the same object on every call.
+        config: gives the number of steps and the exploration noise.
+        policy: what chooses the actions.
+        env_state: where the robots are (`types.EnvState`).
+        key: used up here.
+
+    Returns:
+        The state the robots are left in, from which the next rollout goes on, and the rollout.
+    """
+
+    def one_step(env_state: Any, step_key: Key[Array, ""]) -> tuple[Any, Rollout]:
+        action, log_prob, env_key = _act(policy, env_state.observation, config.action_std, step_key)
+        after = step(env_state, action, env_key)
+        return after, _record(env_state, action, log_prob, after)
+
+    _check_width(policy, env_state)
+    return jax.lax.scan(one_step, env_state, jax.random.split(key, config.num_steps))
+
+
+def collect_on_host(
+    step: Step, config: PPOConfig, policy: Policy, env_state: Any, key: Key[Array, ""]
+) -> tuple[Any, Rollout]:
+    """Take `config.num_steps` control steps in a Python loop, for an environment that steps NumPy arrays.
+
+    Only the policy is compiled. Arguments and results are those of `collect`, with NumPy arrays for JAX arrays; `step`
+    must return new arrays rather than write into those of the state it was given.
+    """
+    _check_width(policy, env_state)
+    rows = []
+    for step_key in jax.random.split(key, config.num_steps):
+        action, log_prob, env_key = _act_compiled(policy, env_state.observation, config.action_std, step_key)
+        action = np.asarray(action)
+        after = step(env_state, action, env_key)
+        rows.append(_record(env_state, action, log_prob, after))
+        env_state = after
+    return env_state, jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
+
+
+def random_policy_statistics(
+    collect: Collect, policy: Policy, env_state: Any, key: Key[Array, ""], samples: int
+) -> Normalizer:
+    """Estimate the observations' mean and standard deviation from states that a random policy visits.
+
+    The random policy is exploration noise around zero: an actor whose weights are all 0.
+
+    Args:
+        collect: `collect` or `collect_on_host` with `step` and `config` bound by `functools.partial`.
+        policy: any policy of the right shapes; its numbers play no part.
+        env_state: freshly reset robots.
+        key: used up here.
+        samples: observations wanted; the last rollout is used to its end, so a few more are taken.
+    """
+    random_policy = policy._replace(actor=jax.tree.map(jnp.zeros_like, policy.actor))
+    normalizer = normalization.init(policy.normalizer.mean.shape[0])
+    rollouts = 0
+    while normalizer.samples < samples:
+        env_state, rollout = collect(random_policy, env_state, jax.random.fold_in(key, rollouts))
+        normalizer = _update_normalizer(normalizer, rollout.observation)
+        rollouts += 1
+    return normalizer
+
+
+def _act(
+    policy: Policy, observation: Float[Array, "B O"], std: float | Float[Array, ""], key: Key[Array, ""]
+) -> tuple[Float[Array, "B A"], Float[Array, " B"], Key[Array, ""]]:
+    action_key, env_key = jax.random.split(key)
+    action, log_prob = networks.sample(policy, observation, std, action_key)
+    return action, log_prob, env_key
+
+
+_act_compiled = jax.jit(_act)
+_update_normalizer = jax.jit(normalization.update)
+
+
+def _record(before: EnvState, action: Any, log_prob: Any, after: EnvState) -> Rollout:
+    return Rollout(
+        observation=before.observation,
+        action=action,
+        log_prob=log_prob,
+        reward=after.reward,
+        terminated=after.terminated,
+        truncated=after.truncated,
+        final_observation=after.final_observation,
+        metrics=after.metrics,
+    )
+
+
+def _check_width(policy: Policy, env_state: EnvState) -> None:
+    given, expected = env_state.observation.shape[-1], policy.normalizer.mean.shape[0]
+    if given != expected:
+        raise ValueError(f"The environment observes {given} numbers a robot; this policy was made for {expected}.")

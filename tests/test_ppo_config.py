@@ -1,0 +1,52 @@
+"""The learner's configuration: the presets carry the published figures, and a bad value is refused in one sentence."""
+
+from dataclasses import FrozenInstanceError, replace
+
+import pytest
+
+from cassie_mjx.config import PPO_PRESETS, PPOConfig
+
+
+def test_paper_preset_carries_the_papers_figures():
+    paper = PPO_PRESETS["paper"]
+    assert paper.num_samples <= 3000
+    assert (paper.updates_per_iteration, paper.minibatch_size, paper.iterations) == (64, 128, 300)
+    assert (paper.actor_learning_rate, paper.critic_learning_rate) == (1e-3, 1e-2)
+    assert (paper.learning_rate_decay, paper.learning_rate_floor) == (0.99, 0.1)
+    assert paper.action_std**2 == pytest.approx(0.018, rel=0.01)
+    assert (paper.clip_epsilon, paper.hidden_sizes, paper.normalizer_samples) == (0.2, (256, 256), 50_000)
+
+
+def test_parallel_and_massive_make_five_epochs_in_as_many_updates():
+    for name in ("parallel", "massive"):
+        preset = PPO_PRESETS[name]
+        assert preset.updates_per_iteration == 40
+        assert preset.updates_per_iteration * preset.minibatch_size == 5 * preset.num_samples
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"num_robots": 0}, "num_robots is 0; it must be at least 1."),
+        ({"num_steps": -3}, "num_steps is -3; it must be at least 1."),
+        ({"action_std": 0.0}, "action_std is 0.0; it must be greater than 0."),
+        ({"gamma": 1.5}, "gamma is 1.5; it must be from 0 to 1."),
+        ({"gae_lambda": float("nan")}, "gae_lambda is nan; it must be from 0 to 1."),
+        ({"target_kl": 0.0}, "target_kl is 0.0; it must be greater than 0, or null to switch it off."),
+        ({"learning_rate_decay": 0.0}, "learning_rate_decay is 0.0; it must be greater than 0 and at most 1."),
+        ({"actor_schedule": "cosine"}, "actor_schedule is 'cosine'; it must be one of constant, linear, exponential."),
+        ({"hidden_sizes": ()}, r"hidden_sizes is \(\); it must be one or more positive widths."),
+        ({"minibatch_size": 5000}, "minibatch_size is 5000; it must be at most num_robots x num_steps = 4096."),
+    ],
+)
+def test_bad_value_is_refused_in_one_sentence(change, sentence):
+    with pytest.raises(ValueError, match=f"^{sentence}$"):
+        PPOConfig(**change)
+
+
+def test_configuration_is_frozen_hashable_and_takes_a_list_of_widths():
+    config = replace(PPO_PRESETS["parallel"], hidden_sizes=[64, 32])
+    assert config.hidden_sizes == (64, 32)
+    assert hash(config) == hash(replace(config))
+    with pytest.raises(FrozenInstanceError):
+        config.gamma = 0.9
