@@ -83,6 +83,9 @@ SPRUNG_NAMES = tuple(f"{side}-{name}" for side in SIDES for name in SPRUNG)
 SPRUNG_QPOS = qpos_index(*SPRUNG_NAMES)
 SPRUNG_QVEL = qvel_index(*SPRUNG_NAMES)
 SHIN_QPOS = qpos_index("left-shin", "right-shin")
+# The pelvis' x y z and the vector part of its quaternion w x y z, in qpos.
+PELVIS_POSITION = qpos_index("pelvis")[:3]
+PELVIS_QUAT_VECTOR = qpos_index("pelvis")[4:7]
 PELVIS_BODY = int(body_index("cassie-pelvis")[0])
 FOOT_BODIES = body_index("left-foot", "right-foot")
 

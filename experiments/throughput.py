@@ -31,13 +31,13 @@ class ThroughputConfig:
 
     out: str = "throughput.json"
     """Result file."""
-    native_robots: tuple[int, ...] = (1, 16, 64, 128, 512)
+    native_robots: tuple[int, ...] = (1, 16, 64, 256)
     """Batch sizes for MuJoCo C."""
-    mjx_robots: tuple[int, ...] = (64, 256, 1024)
+    mjx_robots: tuple[int, ...] = (64, 256)
     """Batch sizes for MJX."""
-    control_steps: int = 16
+    control_steps: int = 8
     """Control steps of 32 ms in each timed stretch."""
-    turns: int = 7
+    turns: int = 5
     """Timed stretches; the median counts."""
     seed: int = 0
     """Seed of the gait phases."""

@@ -1,14 +1,17 @@
 """What both physics engines take and give: states, disturbances and body poses, batched over robots (axis B)."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 Array: TypeAlias = Any
 """A NumPy array of float64 on MuJoCo C, a JAX array on MJX."""
+
+T = TypeVar("T")
 
 
 @jax.tree_util.register_dataclass
@@ -114,6 +117,16 @@ def delayed(state: PhysicsState, disturbance: Disturbance) -> tuple[Array, Array
     slot = (state.step - disturbance.delay) % slots
     seen = state.history[np.arange(len(state.history)), slot]
     return seen[:, : state.qpos.shape[1]], seen[:, state.qpos.shape[1] :]
+
+
+def merge(chosen: Array, these: T, those: T) -> T:
+    """Robot by robot, the state `these` where `chosen` [B] and `those` elsewhere; for pytrees of either engine."""
+
+    def pick(a: Array, b: Array) -> Array:
+        where = np if isinstance(b, np.ndarray) else jnp
+        return where.where(chosen.reshape(-1, *[1] * (b.ndim - 1)), a, b)
+
+    return jax.tree.map(pick, these, those)
 
 
 def check_batch(state: PhysicsState, target: Array, disturbance: Disturbance) -> None:

@@ -1,0 +1,51 @@
+"""State of the walking task: pytrees with shape, unit and frame on every field (axis B: robots)."""
+
+from dataclasses import dataclass
+
+import jax
+
+from cassie_mjx.physics.types import Array, Disturbance, PhysicsState
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Clock:
+    """Where each robot is along the reference motion and in its episode.
+
+    Attributes:
+      phase: sample of the stride, [B], int32, 0 to N - 1.
+      stride: strides since the start of the episode, [B], int32.
+      step: control steps since the start of the episode, [B], int32.
+    """
+
+    phase: Array
+    stride: Array
+    step: Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class WalkState:
+    """B robots between two control steps; what a learner reads of an environment (`ppo.types.EnvState`).
+
+    Attributes:
+      physics: state of the engine.
+      disturbance: what acts on the robots besides their motors.
+      clock: where they are along the reference motion.
+      observation: what the policy acts on next, [B, 80].
+      final_observation: what the last step led to, before any reset, [B, 80].
+      reward: of the last step, [B], 0 to 1.
+      terminated: the last step ended the episode in a fall, a NaN or too low a reward, [B], bool.
+      truncated: the last step was the last of a full-length episode, [B], bool.
+      metrics: of the last step, each [B]: the unweighted reward terms, `plain` and `weighted` rewards, `nan`.
+    """
+
+    physics: PhysicsState
+    disturbance: Disturbance
+    clock: Clock
+    observation: Array
+    final_observation: Array
+    reward: Array
+    terminated: Array
+    truncated: Array
+    metrics: dict[str, Array]

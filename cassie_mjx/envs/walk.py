@@ -1,0 +1,168 @@
+"""The walking task: `reset` and `step` of a batch of robots, the same on both engines.
+
+Xie et al. 2018: every 32 ms a policy sees robot and reference and adds a residual to the reference angles of the ten
+active joints; the sum is the PD target. The reward says how near the robot stays to the reference motion.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cassie_mjx import robot
+from cassie_mjx.envs import observation, reward
+from cassie_mjx.envs.types import Clock, WalkState
+from cassie_mjx.model import steps_per_control
+from cassie_mjx.physics.types import Array, Disturbance, Physics, delayed, merge
+from cassie_mjx.reference import ReferenceMotion, sample
+
+MIN_HEIGHT_M, MAX_HEIGHT_M = 0.6, 1.2
+"""Pelvis height over the ground below it, outside of which a robot has fallen."""
+
+
+@dataclass(frozen=True)
+class WalkConfig:
+    """The task's own parameters."""
+
+    reward: str = "weighted"
+    """Reward to learn from: "plain" (the paper's) or "weighted" (the later code's); both are always measured."""
+    early_end_reward: float | None = 0.6
+    """A step's reward below which an episode ends, a device of training; null ends it by a fall alone."""
+    episode_steps: int = 300
+    """Control steps of a full episode; 300 are 9.6 s."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a value out of range."""
+        if self.reward not in reward.SCALES:
+            raise ValueError(f"reward={self.reward!r} is not known; choose one of {', '.join(reward.SCALES)}.")
+        if self.early_end_reward is not None and not 0 <= self.early_end_reward < 1:
+            raise ValueError(f"early_end_reward={self.early_end_reward} must be from 0 to below 1, or null.")
+        if self.episode_steps < 1:
+            raise ValueError(f"episode_steps={self.episode_steps} must be at least 1.")
+
+
+class _Judgement(NamedTuple):
+    """All of the next `WalkState` but the physics, and where the robots that ended start anew."""
+
+    fresh_qpos: jax.Array
+    fresh_qvel: jax.Array
+    rest: dict[str, Any]
+
+
+class WalkEnv:
+    """The task on one engine. On MJX `reset` and `step` can be traced; on MuJoCo C they run on the host."""
+
+    def __init__(self, physics: Physics, motion: ReferenceMotion, config: WalkConfig, robots: int) -> None:
+        """Bind task and engine.
+
+        Args:
+          physics: the engine; its timestep must divide the control step.
+          motion: what to imitate.
+          config: the task's parameters.
+          robots: B, robots side by side.
+        """
+        self.physics, self.config, self.robots = physics, config, robots
+        self.motion = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), motion)
+        self.samples = motion.qpos.shape[0]
+        self._substeps = steps_per_control(round(1 / physics.model.opt.timestep))
+        self._target = jax.jit(self._pd_target)
+        self._judge = jax.jit(self._judge_step)
+        self._start = jax.jit(self._start_states)
+
+    def reset(self, key: jax.Array) -> WalkState:
+        """Robots on the reference motion, each at a phase drawn at random, undisturbed."""
+        phase = jax.random.randint(key, (self.robots,), 0, self.samples)
+        return self.reset_at(phase, Disturbance.none(self.robots))
+
+    def reset_at(self, phase: Array, disturbance: Disturbance) -> WalkState:
+        """Robots on the reference motion at the samples `phase` [B] of the stride, under `disturbance`."""
+        clock, qpos, qvel, seen = self._start(jnp.asarray(phase, jnp.int32))
+        physics = self.physics.init(qpos, qvel)
+        zeros = jnp.zeros(self.robots)
+        ended = jnp.zeros(self.robots, bool)
+        metrics = {name: zeros for name in (*_METRICS, *reward.Terms._fields)}
+        return WalkState(physics, disturbance, clock, seen, seen, zeros, ended, ended, metrics)
+
+    def step(self, state: WalkState, action: Array, key: jax.Array) -> WalkState:
+        """One control step of 32 ms; robots whose episode ends start anew at a phase drawn with `key`.
+
+        Args:
+          state: before the step.
+          action: residual on the reference angles of the active joints, [B, 10], rad.
+          key: for the phases of new episodes.
+        """
+        target = self._target(state.clock, action)
+        if isinstance(state.physics.qpos, np.ndarray):
+            target = np.asarray(target, float)
+        physics = self.physics.advance(state.physics, target, state.disturbance, self._substeps)
+        sensed = delayed(physics, state.disturbance)
+        judgement = self._judge(state.clock, physics.qpos, physics.qvel, *sensed, state.disturbance.terrain, key)
+        ended = judgement.rest["terminated"] | judgement.rest["truncated"]
+        physics = merge(ended, self.physics.init(judgement.fresh_qpos, judgement.fresh_qvel), physics)
+        return WalkState(physics=physics, disturbance=state.disturbance, **judgement.rest)
+
+    def _pd_target(self, clock: Clock, action: jax.Array) -> jax.Array:
+        reference, _ = sample(self.motion, clock.phase + 1, clock.stride)
+        return reference[:, robot.ACTIVE_QPOS] + action
+
+    def _observe(self, clock: Clock, qpos: jax.Array, qvel: jax.Array) -> jax.Array:
+        return observation.build(qpos, qvel, *sample(self.motion, clock.phase + 1, clock.stride))
+
+    def _start_states(self, phase: jax.Array) -> tuple[Clock, jax.Array, jax.Array, jax.Array]:
+        zeros = jnp.zeros_like(phase)
+        clock = Clock(phase, zeros, zeros)
+        qpos, qvel = sample(self.motion, phase, zeros)
+        return clock, qpos, qvel, self._observe(clock, qpos, qvel)
+
+    def _judge_step(
+        self,
+        before: Clock,
+        qpos: jax.Array,
+        qvel: jax.Array,
+        sensed_qpos: jax.Array,
+        sensed_qvel: jax.Array,
+        terrain: jax.Array,
+        key: jax.Array,
+    ) -> _Judgement:
+        clock = self._tick(before)
+        reference, reference_velocity = sample(self.motion, clock.phase, clock.stride)
+        nan = ~(jnp.isfinite(qpos).all(axis=1) & jnp.isfinite(qvel).all(axis=1))
+        qpos, sensed_qpos = (jnp.where(nan[:, None], reference, q) for q in (qpos, sensed_qpos))
+        sensed_qvel = jnp.where(nan[:, None], reference_velocity, sensed_qvel)
+
+        terms = {name: reward.terms(scale, qpos, reference) for name, scale in reward.SCALES.items()}
+        rewards = {name: jnp.where(nan, 0.0, reward.total(values)) for name, values in terms.items()}
+        earned = rewards[self.config.reward]
+        height = qpos[:, 2] - terrain * jnp.sin(qpos[:, 0])
+        fallen = nan | (height < MIN_HEIGHT_M) | (height > MAX_HEIGHT_M)
+        low = jnp.zeros_like(nan) if self.config.early_end_reward is None else earned < self.config.early_end_reward
+        terminated = fallen | low
+        truncated = ~terminated & (clock.step >= self.config.episode_steps)
+
+        phase = jax.random.randint(key, nan.shape, 0, self.samples)
+        fresh_clock, fresh_qpos, fresh_qvel, fresh_seen = self._start_states(phase)
+        ended = terminated | truncated
+        seen = self._observe(clock, sensed_qpos, sensed_qvel)
+        return _Judgement(
+            fresh_qpos,
+            fresh_qvel,
+            {
+                "clock": merge(ended, fresh_clock, clock),
+                "observation": merge(ended, fresh_seen, seen),
+                "final_observation": seen,
+                "reward": earned,
+                "terminated": terminated,
+                "truncated": truncated,
+                "metrics": {**rewards, "nan": nan.astype(earned.dtype), "fallen": fallen.astype(earned.dtype)}
+                | terms[self.config.reward]._asdict(),
+            },
+        )
+
+    def _tick(self, clock: Clock) -> Clock:
+        phase = clock.phase + 1
+        return Clock(phase % self.samples, clock.stride + phase // self.samples, clock.step + 1)
+
+
+_METRICS = (*reward.SCALES, "nan", "fallen")

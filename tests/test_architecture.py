@@ -1,0 +1,55 @@
+"""Who may import whom, and what every file must keep to."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "cassie_mjx"
+SOURCES = sorted(PACKAGE.rglob("*.py")) + sorted((ROOT / "experiments").glob("*.py"))
+
+# What a module or package of ours must not import; a name of our own stands for all below it.
+FORBIDDEN = {
+    "cassie_mjx.robot": {"cassie_mjx", "brax", "jax"},
+    "cassie_mjx.model": {"cassie_mjx.physics", "cassie_mjx.envs", "cassie_mjx.ppo", "cassie_mjx.reference", "brax"},
+    "cassie_mjx.reference": {"cassie_mjx.physics", "cassie_mjx.envs", "cassie_mjx.ppo", "cassie_mjx.controller", "brax"},
+    "cassie_mjx.physics": {"cassie_mjx.envs", "cassie_mjx.ppo", "cassie_mjx.reference", "cassie_mjx.controller", "brax"},
+    "cassie_mjx.envs": {
+        *("cassie_mjx.ppo", "cassie_mjx.train", "cassie_mjx.checkpoint", "cassie_mjx.evaluate", "cassie_mjx.render"),
+        "cassie_mjx.controller",
+    },
+    "cassie_mjx.ppo": {"cassie_mjx.envs", "cassie_mjx.physics", "cassie_mjx.robot", "cassie_mjx.model", "mujoco", "brax"},
+}
+
+
+def module_name(path):
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+def imports(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def below(name, package):
+    return name == package or name.startswith(package + ".")
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=module_name)
+def test_imports_follow_the_design(path):
+    module = module_name(path)
+    found = list(imports(path))
+    assert not any(below(name, "cassie_mjx.train") for name in found), "nothing imports train"
+    for package, forbidden in FORBIDDEN.items():
+        if below(module, package):
+            wrong = [name for name in found for bad in forbidden if below(name, bad) and not below(name, package)]
+            assert not wrong
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=module_name)
+def test_files_stay_short(path):
+    assert len(path.read_text().splitlines()) <= 400

@@ -1,0 +1,55 @@
+"""Command lines as dataclasses, and results with their provenance."""
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+
+import pytest
+
+from cassie_mjx import cli
+
+
+@dataclass(frozen=True)
+class Example:
+    out: str = "a.json"
+    robots: int = 3
+    rates: tuple[int, ...] = (500, 1000)
+
+
+def test_parse_reads_values_of_their_types():
+    assert cli.parse(Example, ["robots=5", "rates=[1,2,3]"]) == Example(robots=5, rates=(1, 2, 3))
+    assert cli.parse(Example, []) == Example()
+
+
+@pytest.mark.parametrize(
+    ("argument", "sentence"),
+    [
+        ("robot=5", "'robot' is not a key; the keys are out, robots, rates"),
+        ("robots", "'robots' is not of the form key=value"),
+        ("robots=many", "robots=many: Value 'many' of type 'str' could not be converted to Integer"),
+    ],
+)
+def test_parse_refuses_in_one_sentence(argument, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        cli.parse(Example, [argument])
+
+
+def test_a_command_ends_with_one_sentence_and_a_status(tmp_path):
+    command = [sys.executable, "-m", "experiments.throughput", f"out={tmp_path}/missing/a.json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith("error: out=")
+    assert "Traceback" not in done.stderr
+
+
+def test_results_are_written_whole_with_their_provenance(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text("precious")
+    with pytest.raises(TypeError):
+        cli.write_json(path, {"rows": object()})
+    assert path.read_text() == "precious"
+    cli.write_json(path, {"provenance": cli.provenance(seed=7)})
+    provenance = json.loads(path.read_text())["provenance"]
+    assert provenance["seed"] == 7
+    assert {"command", "commit", "date", "hardware", "python", "versions"} <= provenance.keys()
