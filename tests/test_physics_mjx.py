@@ -16,6 +16,7 @@ from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx, loop
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance
+from experiments.agreement import loop_consistent
 
 CONVERGED = ModelConfig(physics_hz=1000, contacts="walking", iterations=50, ls_iterations=50)
 BATCH = 8
@@ -32,22 +33,14 @@ def referee():
     return NativePhysics(load(replace(CONVERGED, iterations=100)), max_delay=8)
 
 
-def walking_velocity(model, qpos, rng, scale):
-    """A random velocity, rad/s and m/s, that the closed loops allow."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_forward(model, data)
-    loops = data.efc_J.reshape(-1, model.nv)[: data.ne]
-    velocity = scale * rng.normal(size=model.nv)
-    return velocity - np.linalg.pinv(loops) @ (loops @ velocity)
-
-
 @pytest.fixture(scope="module")
 def states(referee, standing_qpos):
     """BATCH robots: one at rest, the others at walking velocities; their targets, a push, and delays of 0 to 7 ms."""
     rng = np.random.default_rng(3)
     scales = np.array([0, 0.3, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5])
-    qvel = np.stack([walking_velocity(referee.model, standing_qpos, rng, scale) for scale in scales])
+    qvel = np.stack(
+        [loop_consistent(referee.model, standing_qpos, scale * rng.normal(size=robot.NV)) for scale in scales]
+    )
     targets = robot.STANDING_TARGET + 0.1 * rng.normal(size=(BATCH, robot.NU))
     disturbance = replace(
         Disturbance.none(BATCH),
@@ -68,7 +61,7 @@ def test_acceleration_equals_mujoco_c_in_float64(standing_qpos, scale, needs_ter
         servo.opt.tolerance = 0
         rng = np.random.default_rng(0)
         qpos = standing_qpos - np.array([0, 0, 0.003] + [0] * 32)
-        qvel = walking_velocity(servo, qpos, rng, scale)
+        qvel = loop_consistent(servo, qpos, scale * rng.normal(size=robot.NV))
         data = mujoco.MjData(servo)
         data.qpos[:], data.qvel[:], data.ctrl[:] = qpos, qvel, robot.STANDING_TARGET
         data.xfrc_applied[robot.PELVIS_BODY, :3] = [50, -30, 10]
@@ -181,6 +174,7 @@ from cassie_mjx import robot
 from cassie_mjx.model import MJX_TRAINING, load_for_mjx, standing
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.types import Disturbance
+from experiments.agreement import loop_consistent
 physics = MjxPhysics(load_for_mjx(MJX_TRAINING))
 qpos = np.tile(standing(physics.model), ({batch}, 1)).astype(np.float32)
 state = physics.init(qpos, np.zeros(({batch}, 32), np.float32))

@@ -19,7 +19,7 @@ class Entry(NamedTuple):
     name: str
     source: str
     """Which of qpos and qvel it is read from."""
-    index: np.ndarray
+    addresses: np.ndarray
     """Where in qpos or qvel."""
     unit: str
 
@@ -33,7 +33,7 @@ TABLE = (
     Entry("joint angles: " + ", ".join(_SENSED), "qpos", robot.qpos_index(*_SENSED), "rad"),
     Entry("joint velocities, same order", "qvel", robot.qvel_index(*_SENSED), "rad/s"),
 )
-_ADDRESSES = np.concatenate([entry.index + (robot.NQ if entry.source == "qvel" else 0) for entry in TABLE])
+_ADDRESSES = np.concatenate([entry.addresses + (robot.NQ if entry.source == "qvel" else 0) for entry in TABLE])
 HALF = len(_ADDRESSES)
 SIZE = 2 * HALF
 
@@ -57,7 +57,7 @@ def describe() -> list[str]:
     lines, start = [], 0
     for half in ("robot", "reference"):
         for entry in TABLE:
-            stop = start + len(entry.index)
+            stop = start + len(entry.addresses)
             lines.append(f"{start}:{stop} {half} {entry.name} [{entry.unit}]")
             start = stop
     return lines

@@ -36,7 +36,8 @@ SCALES = {
     "plain": Scale(np.ones(robot.NU), 1.0),
     "weighted": Scale(30 * np.tile([0.15, 0.15, 0.1, 0.05, 0.05], 2), 1000.0),
 }
-WEIGHTS = Terms(joint=0.5, position=0.3, orientation=0.1, spring=0.1)
+WEIGHTS = (0.5, 0.3, 0.1, 0.1)
+"""Of the terms in their order: joint, position, orientation, spring."""
 
 
 def terms(scale: Scale, qpos: Array, reference: Array) -> Terms:
@@ -60,4 +61,4 @@ def terms(scale: Scale, qpos: Array, reference: Array) -> Terms:
 def total(values: Terms) -> jax.Array:
     """Weighted sum of the terms, [B], 0 to 1."""
     # r = 0.5 r_joint + 0.3 r_position + 0.1 r_orientation + 0.1 r_spring
-    return sum(weight * value for weight, value in zip(WEIGHTS, values, strict=True))
+    return jnp.stack([weight * value for weight, value in zip(WEIGHTS, values, strict=True)]).sum(axis=0)

@@ -129,8 +129,9 @@ class WalkEnv:
         clock = self._tick(before)
         reference, reference_velocity = sample(self.motion, clock.phase, clock.stride)
         nan = ~(jnp.isfinite(qpos).all(axis=1) & jnp.isfinite(qvel).all(axis=1))
-        qpos, sensed_qpos = (jnp.where(nan[:, None], reference, q) for q in (qpos, sensed_qpos))
-        sensed_qvel = jnp.where(nan[:, None], reference_velocity, sensed_qvel)
+        qpos, sensed_qpos, sensed_qvel = merge(
+            nan, (reference, reference, reference_velocity), (qpos, sensed_qpos, sensed_qvel)
+        )
 
         terms = {name: reward.terms(scale, qpos, reference) for name, scale in reward.SCALES.items()}
         rewards = {name: jnp.where(nan, 0.0, reward.total(values)) for name, values in terms.items()}

@@ -1,5 +1,7 @@
 """MJX: the same physics as pure functions of one robot, vmapped and jitted; made for accelerators."""
 
+import contextlib
+import io
 from functools import partial
 from typing import cast
 
@@ -7,7 +9,10 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from mujoco import mjx
+
+# MJX announces on stdout that its optional Warp backend is not installed.
+with contextlib.redirect_stdout(io.StringIO()):
+    from mujoco import mjx
 
 from cassie_mjx import robot
 from cassie_mjx.physics.types import (

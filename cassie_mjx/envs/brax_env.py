@@ -1,0 +1,88 @@
+"""Brax's view of the walking task: one robot, for Brax's wrappers and any Brax-style trainer to batch."""
+
+from dataclasses import dataclass, fields, replace
+from typing import cast
+
+import jax
+import jax.numpy as jnp
+import mujoco
+from brax import base
+from brax.envs.base import PipelineEnv, State
+from brax.io import mjcf
+
+from cassie_mjx.envs import reward
+from cassie_mjx.envs.types import WalkState
+from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.model import MJX_TRAINING, ModelConfig, load_for_mjx, steps_per_control, xml_path
+from cassie_mjx.physics.mjx import MjxPhysics
+from cassie_mjx.reference import ReferenceMotion
+
+METRICS = (*reward.SCALES, *reward.Terms._fields, "fallen", "nan")
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PipelineState(WalkState):
+    """A `WalkState` of one robot with the names that Brax renders from."""
+
+    @property
+    def q(self) -> jax.Array:
+        """Qpos, [35]."""
+        return self.physics.qpos[0]
+
+    @property
+    def qd(self) -> jax.Array:
+        """Qvel, [32]."""
+        return self.physics.qvel[0]
+
+
+class CassieEnv(PipelineEnv):
+    """The walking task on MJX as a Brax environment.
+
+    The reference phase is part of `pipeline_state`, so it is batched, reset and restored with the rest. Episodes end
+    here by falls and low rewards alone; their full length is the `episode_length` of Brax's `EpisodeWrapper`.
+    """
+
+    def __init__(
+        self, motion: ReferenceMotion, config: WalkConfig | None = None, model: ModelConfig = MJX_TRAINING
+    ) -> None:
+        """Compile the robot.
+
+        Args:
+          motion: what to imitate.
+          config: the task's parameters, `episode_steps` excepted; the default is `WalkConfig()`.
+          model: rate, contacts and solver of the physics.
+        """
+        # Brax asks for a system of its own; it serves for rendering and sizes, not for stepping.
+        scene = mujoco.MjModel.from_xml_path(str(xml_path("flat")))
+        scene.opt.timestep = 1 / model.physics_hz
+        super().__init__(mjcf.load_model(scene), backend="mjx", n_frames=steps_per_control(model.physics_hz))
+        endless = replace(config or WalkConfig(), episode_steps=2**30)
+        self._walk = WalkEnv(MjxPhysics(load_for_mjx(model)), motion, endless, robots=1)
+
+    def reset(self, rng: jax.Array) -> State:
+        """A robot on the reference motion at a phase drawn with `rng`."""
+        return self._view(self._walk.reset(rng))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        """One control step of 32 ms; `action` [10] is the residual on the reference angles, rad."""
+        # Brax's AutoResetWrapper starts the next episode, so the start that the task itself would draw is never used.
+        walked = self._walk.step(cast(WalkState, state.pipeline_state), action[None], jax.random.PRNGKey(0))
+        after = self._view(walked)
+        return state.replace(
+            pipeline_state=after.pipeline_state,
+            obs=after.obs,
+            reward=after.reward,
+            done=after.done,
+            metrics=state.metrics | after.metrics,
+        )
+
+    def _view(self, walk: WalkState) -> State:
+        named = PipelineState(**{field.name: getattr(walk, field.name) for field in fields(WalkState)})
+        return State(
+            pipeline_state=cast(base.State, named),
+            obs=walk.final_observation[0],
+            reward=walk.reward[0],
+            done=walk.terminated[0].astype(jnp.float32),
+            metrics={name: walk.metrics[name][0] for name in METRICS},
+        )
