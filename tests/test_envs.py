@@ -1,0 +1,186 @@
+"""The walking task: observation table, rewards by hand, reset and step on both engines, Brax's wrappers."""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cassie_mjx import robot
+from cassie_mjx.envs import observation, reward
+from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx
+from cassie_mjx.physics.mjx import MjxPhysics
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.reference import resolve, sample
+
+ROBOTS = 8
+MODEL = replace(MJX_TRAINING, iterations=100)
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return resolve("walk")
+
+
+@pytest.fixture(scope="module")
+def native():
+    return NativePhysics(load(MODEL))
+
+
+@pytest.fixture(scope="module")
+def env(native, motion):
+    return WalkEnv(native, motion, WalkConfig(), ROBOTS)
+
+
+def test_observation_is_eighty_numbers_of_the_table():
+    qpos, qvel = np.arange(35.0)[None], 100 + np.arange(32.0)[None]
+    seen = np.asarray(observation.build(qpos, qvel, -qpos, -qvel))[0]
+    assert seen.shape == (observation.SIZE,) == (80,)
+    expected = [
+        *(1, 2, 3, 4, 5, 6),
+        *range(100, 106),
+        *(7, 8, 9, 14, 20, 15, 16, 21, 22, 23, 28, 34, 29, 30),
+        *(106, 107, 108, 112, 118, 113, 114, 119, 120, 121, 125, 131, 126, 127),
+    ]
+    np.testing.assert_array_equal(seen[:40], expected)
+    np.testing.assert_array_equal(seen[40:], -seen[:40])
+
+
+def test_the_description_covers_the_observation():
+    slices = [line.split()[0].split(":") for line in observation.describe()]
+    covered = [i for start, stop in slices for i in range(int(start), int(stop))]
+    assert covered == list(range(80))
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "spring"),
+    [
+        ("plain", np.exp(-(0.1**2 + 0.2**2)), np.exp(-(0.03**2))),
+        ("weighted", np.exp(-30 * (0.15 * 0.01 + 0.05 * 0.04)), np.exp(-0.9)),
+    ],
+)
+def test_rewards_by_hand(standing_qpos, name, joint, spring):
+    qpos = standing_qpos.copy()
+    qpos[robot.qpos_index("left-hip-roll", "right-foot", "left-shin")] += [0.1, 0.2, 0.03]
+    qpos[:3] += [0.3, 0.0, -0.1]
+    qpos[4] += 0.2
+    terms = reward.terms(reward.SCALES[name], qpos, standing_qpos)
+    expected = (joint, np.exp(-0.1), np.exp(-0.04), spring)
+    np.testing.assert_allclose(terms, expected, rtol=1e-6)
+    total = 0.5 * joint + 0.3 * np.exp(-0.1) + 0.1 * np.exp(-0.04) + 0.1 * spring
+    np.testing.assert_allclose(reward.total(terms), total, rtol=1e-6)
+
+
+def test_reset_puts_robots_on_the_reference(env, motion):
+    state = env.reset(jax.random.key(0))
+    phase = np.asarray(state.clock.phase)
+    assert len(set(phase.tolist())) > 2
+    np.testing.assert_allclose(state.physics.qpos, np.asarray(motion.qpos)[phase], atol=1e-6)
+    ahead, _ = sample(motion, phase + 1, np.zeros_like(phase))
+    np.testing.assert_allclose(state.observation[:, 40:42], np.asarray(ahead)[:, 1:3], atol=1e-6)
+
+
+def test_a_step_follows_the_pd_law_to_the_next_sample(env, native, motion):
+    state = env.reset(jax.random.key(1))
+    action = 0.1 * np.random.default_rng(0).normal(size=(ROBOTS, 10))
+    after = env.step(state, action, jax.random.key(2))
+    ahead, _ = sample(motion, np.asarray(state.clock.phase) + 1, np.zeros(ROBOTS, int))
+    target = np.asarray(ahead)[:, robot.ACTIVE_QPOS] + action
+    moved = native.advance(state.physics, np.asarray(target, float), Disturbance.none(ROBOTS), 32)
+    going = ~np.asarray(after.terminated)
+    assert going.any()
+    np.testing.assert_allclose(after.physics.qpos[going], moved.qpos[going], atol=1e-5)
+    expected = reward.total(reward.terms(reward.SCALES["weighted"], moved.qpos, np.asarray(ahead)))
+    np.testing.assert_allclose(after.reward, expected, atol=1e-4)
+
+
+def test_episodes_end_by_falls_low_rewards_and_length(native, motion):
+    def run(config, steps, action=0.0):
+        env = WalkEnv(native, motion, config, ROBOTS)
+        state = env.reset_at(jnp.arange(ROBOTS), Disturbance.none(ROBOTS))
+        ends = []
+        for i in range(steps):
+            state = env.step(state, np.full((ROBOTS, 10), action), jax.random.key(i))
+            ends.append((np.asarray(state.terminated), np.asarray(state.truncated), np.asarray(state.reward)))
+        return [np.array(x) for x in zip(*ends, strict=True)], state
+
+    (terminated, truncated, rewards), _ = run(WalkConfig(), 40)
+    assert terminated.any(), "the reference angles alone do not walk"
+    assert (rewards[terminated] < 0.6).all()
+    (late, _, _), _ = run(WalkConfig(early_end_reward=None), 40)
+    assert late.argmax(axis=0).min() > terminated.argmax(axis=0).min(), "without the early end only a fall ends"
+    (terminated, truncated, _), state = run(WalkConfig(episode_steps=3), 3)
+    assert truncated[-1].sum() == ROBOTS - terminated.any(axis=0).sum()
+    assert (np.asarray(state.clock.step)[truncated[-1]] == 0).all()
+
+
+def test_a_nan_ends_its_episode_and_is_counted(env):
+    state = env.reset(jax.random.key(3))
+    state.physics.qvel[2, 7] = np.nan
+    after = env.step(state, np.zeros((ROBOTS, 10)), jax.random.key(4))
+    np.testing.assert_array_equal(np.asarray(after.metrics["nan"]), np.arange(ROBOTS) == 2)
+    assert after.terminated[2]
+    assert after.reward[2] == 0
+    for name in ("observation", "final_observation"):
+        assert np.isfinite(np.asarray(getattr(after, name))).all()
+    assert np.isfinite(after.physics.qpos).all()
+
+
+def test_both_engines_step_the_same_task(native, motion):
+    mjx = MjxPhysics(load_for_mjx(MJX_TRAINING))
+    phases = jnp.arange(ROBOTS) * 2
+    states, envs = [], [WalkEnv(physics, motion, WalkConfig(), ROBOTS) for physics in (native, mjx)]
+    for env in envs:
+        state = env.reset_at(phases, Disturbance.none(ROBOTS))
+        for i in range(3):
+            state = env.step(state, np.zeros((ROBOTS, 10), np.float32), jax.random.key(i))
+        states.append(state)
+    np.testing.assert_allclose(states[1].observation, states[0].observation, atol=0.05)
+    np.testing.assert_allclose(states[1].reward, states[0].reward, atol=2e-3)
+    np.testing.assert_array_equal(states[1].clock.phase, states[0].clock.phase)
+
+
+def test_bad_configurations():
+    with pytest.raises(ValueError, match="reward='sparse' is not known; choose one of plain, weighted"):
+        WalkConfig(reward="sparse")
+    with pytest.raises(ValueError, match="early_end_reward=1.5 must be"):
+        WalkConfig(early_end_reward=1.5)
+    with pytest.raises(ValueError, match="episode_steps=0 must be at least 1"):
+        WalkConfig(episode_steps=0)
+
+
+def test_brax_wrappers_drive_it(motion):
+    from brax.envs import training as wrappers
+
+    from cassie_mjx.envs.brax_env import CassieEnv
+
+    env = wrappers.wrap(CassieEnv(motion), episode_length=5)
+    state = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), ROBOTS))
+    assert state.obs.shape == (ROBOTS, 80)
+    assert env.unwrapped.dt == pytest.approx(0.032)
+    first = np.asarray(state.pipeline_state.clock.phase)
+    step = jax.jit(env.step)
+    for _ in range(5):
+        state = step(state, jnp.zeros((ROBOTS, 10)))
+    assert state.done.all()
+    np.testing.assert_array_equal(np.asarray(state.pipeline_state.clock.phase)[:, 0], first[:, 0])
+
+
+@pytest.mark.slow
+def test_brax_ppo_trains_on_it(motion):
+    from brax.training.agents.ppo import train as ppo
+
+    from cassie_mjx.envs.brax_env import CassieEnv
+
+    seen = []
+    train = partial(ppo.train, num_timesteps=4096, episode_length=50, num_envs=32, batch_size=32, num_minibatches=4)
+    train = partial(train, unroll_length=8, num_updates_per_batch=2, normalize_observations=True, num_evals=2, seed=0)
+    train(
+        environment=CassieEnv(motion), num_eval_envs=8, progress_fn=lambda steps, metrics: seen.append((steps, metrics))
+    )
+    assert seen[-1][0] >= 4096
+    assert np.isfinite(seen[-1][1]["eval/episode_reward"])
