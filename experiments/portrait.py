@@ -1,0 +1,42 @@
+"""The picture of the robot in the README: `MUJOCO_GL=osmesa python -m experiments.portrait out=docs/cassie.png`."""
+
+from dataclasses import dataclass
+
+import imageio.v3 as imageio
+import mujoco
+
+from cassie_mjx import cli
+from cassie_mjx.model import xml_path
+from cassie_mjx.reference import resolve
+
+
+@dataclass(frozen=True)
+class PortraitConfig:
+    """What to draw."""
+
+    out: str = "cassie.png"
+    """Picture file."""
+    camera: str = "three-quarter"
+    """A camera of the robot: "side", "front" or "three-quarter"."""
+    sample: int = 5
+    """Sample of the reference stride, 0 to 21; 5 is mid-swing."""
+    width: int = 960
+    """Pixels."""
+    height: int = 720
+    """Pixels."""
+
+
+def main(config: PortraitConfig) -> None:
+    """Render one pose of the reference motion; where there is no screen, set MUJOCO_GL to osmesa or egl."""
+    out = cli.check_writable(config.out)
+    scene = mujoco.MjModel.from_xml_path(str(xml_path("flat")))
+    data = mujoco.MjData(scene)
+    data.qpos[:] = resolve("walk").qpos[config.sample]
+    mujoco.mj_forward(scene, data)
+    with mujoco.Renderer(scene, config.height, config.width) as renderer:
+        renderer.update_scene(data, camera=config.camera)
+        imageio.imwrite(out, renderer.render())
+
+
+if __name__ == "__main__":
+    cli.run(main, PortraitConfig)

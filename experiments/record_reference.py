@@ -1,0 +1,227 @@
+"""Record the reference motion from the heuristic walker: `python -m experiments.record_reference out=FILE.npz`.
+
+Robots that aim at different speeds walk side by side from standing, in MuJoCo C at 2 kHz. After they have settled, one
+stride is kept of the robot whose stride is nearest to half a metre, and made exactly periodic and symmetric. Nothing in
+it is random. With `plot=FILE.png` the motion is drawn as curves, with `strip=FILE.png` as pictures (where there is no
+screen, set MUJOCO_GL to osmesa or egl).
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import imageio.v3 as imageio
+import jax
+import mujoco
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from cassie_mjx import cli, controller, robot
+from cassie_mjx.controller import CONTROLLERS
+from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load, loop_error, standing, xml_path
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.reference import ReferenceMotion, heading_x, make_periodic, save, velocity_error
+
+STRIDE_M, STRIDE_TOLERANCE_M = 0.5, 0.02
+LOW_M, HIGH_M = 0.6, 1.2
+FOOT_RADIUS_M = 0.02
+FRAMES, FRAME_HEIGHT, FRAME_WIDTH = 8, 300, 190
+
+
+@dataclass(frozen=True)
+class RecordConfig:
+    """What to record."""
+
+    preset: str = "compliant"
+    """"stiff" or "compliant", a preset of the walker."""
+    speeds: tuple[float, ...] = (0.46, 0.49, 0.52, 0.55, 0.58, 0.61, 0.64, 0.67, 0.70, 0.73, 0.76, 0.79)
+    """Speeds to aim at instead of the preset's own, one robot each, m/s."""
+    strides: int = 60
+    """Strides of 0.704 s walked before the recorded one; 43 are 30 s."""
+    out: str = "walk.npz"
+    """File for the motion."""
+    plot: str = ""
+    """File for a picture of joint angles and foot heights; none if empty."""
+    strip: str = ""
+    """File for a strip of rendered frames; none if empty."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a recording that cannot be made."""
+        if self.preset not in CONTROLLERS:
+            raise ValueError(f"preset={self.preset!r} is not known; choose one of {', '.join(CONTROLLERS)}.")
+        if not self.speeds:
+            raise ValueError("speeds is empty; name at least one speed in m/s.")
+        if self.strides < 43:
+            raise ValueError(f"strides={self.strides} is too short for the walk to settle; use 43 or more.")
+
+
+def walk(config: RecordConfig, physics: NativePhysics) -> tuple[np.ndarray, np.ndarray]:
+    """Walk from standing, and record the stride after `config.strides` others, from a switch to the left leg on.
+
+    Returns:
+      (qpos [K + 1, B, 35], qvel [K + 1, B, 32]): the states at the K calls of the controller in that stride and at the
+      first of the next, for the B speeds.
+    """
+    preset, robots = CONTROLLERS[config.preset], len(config.speeds)
+    parameters = replace(preset, speed=np.array(config.speeds, np.float32))
+    parameters = jax.tree.map(lambda leaf: np.broadcast_to(np.float32(leaf), robots), parameters)
+    state = physics.init(np.tile(standing(physics.model), (robots, 1)), np.zeros((robots, robot.NV)))
+    control = controller.init(parameters, state.qpos, state.qvel, physics.bodies(state))
+    step, undisturbed = jax.jit(controller.step), Disturbance.none(robots)
+    physics_steps = round(preset.period / physics.model.opt.timestep)
+    stride_calls = round(2 * preset.step_time / preset.period)
+    # The walker begins with half a step on the right leg.
+    first = stride_calls // 4 + config.strides * stride_calls
+    states = []
+    for call in range(first + stride_calls + 1):
+        if call >= first:
+            states.append((state.qpos, state.qvel))
+        bodies = physics.bodies(state)
+        target, control = step(parameters, control, state.qpos, state.qvel, bodies, preset.period)
+        # A robot that has fallen may be sent nowhere; it is not chosen.
+        target = np.nan_to_num(np.asarray(target, float))
+        state = physics.advance(state, target, undisturbed, physics_steps)
+    qpos, qvel = (np.array(values) for values in zip(*states, strict=True))
+    return qpos, qvel
+
+
+def choose(qpos: np.ndarray) -> int:
+    """The robot, of qpos [K + 1, B, 35], whose stride is nearest to 0.5 m and which is up.
+
+    Raises:
+      ValueError: none is within 0.02 m.
+    """
+    x, y, z = np.moveaxis(qpos[..., robot.qpos_index("pelvis")[:3]], -1, 0)
+    length = np.hypot(x[-1] - x[0], y[-1] - y[0])
+    up = ((z > LOW_M) & (z < HIGH_M)).all(axis=0)
+    error = np.where(up, np.abs(length - STRIDE_M), np.inf)
+    if error.min() > STRIDE_TOLERANCE_M:
+        lengths = ", ".join(f"{m:.3f} m" if ok else "a fall" for m, ok in zip(length, up, strict=True))
+        raise ValueError(f"No speed gives a stride of {STRIDE_M} m, but {lengths}; name other speeds.")
+    return int(error.argmin())
+
+
+def foot_points(physics: NativePhysics, qpos: np.ndarray) -> np.ndarray:
+    """Lowest points of left toe, left heel, right toe and right heel in the world at qpos [K, 35], [K, 4, 3], m."""
+    bodies = physics.bodies(physics.init(qpos, np.zeros((len(qpos), robot.NV))))
+    ends = [
+        bodies.xpos[:, body] + bodies.xmat[:, body] @ end
+        for body in robot.FOOT_BODIES
+        for end in (robot.TOE, robot.HEEL)
+    ]
+    return np.stack(ends, axis=1) - (0.0, 0.0, FOOT_RADIUS_M)
+
+
+def slip(points: np.ndarray) -> float:
+    """Farthest that one of the points [K, P, 3] goes along the floor while it is on it, m."""
+    farthest = 0.0
+    for path in np.moveaxis(points, 1, 0):
+        down = path[:, 2] < 0
+        for contact in np.split(path, np.flatnonzero(np.diff(down)) + 1):
+            if contact[0, 2] < 0:
+                farthest = max(farthest, np.linalg.norm(contact[:, :2] - contact[0, :2], axis=1).max())
+    return float(farthest)
+
+
+def statistics(
+    physics: NativePhysics, qpos: np.ndarray, qvel: np.ndarray, motion: ReferenceMotion, period: float
+) -> dict[str, float]:
+    """How good the recorded stride was, and what was mended: m, rad, m/s, rad/s.
+
+    Args:
+      physics: the engine.
+      qpos: the stride as walked, every `period` s, [K + 1, 35].
+      qvel: its velocities, [K + 1, 32].
+      motion: what has been made of it.
+      period: s.
+    """
+    calls, samples = len(qpos) - 1, len(motion.qpos)
+    straight, velocity = heading_x(qpos, qvel)
+    x, y, z = robot.qpos_index("pelvis")[:3]
+    others = np.delete(np.arange(robot.NQ), x)
+    image = robot.mirror_qpos(straight[calls // 2 :]) - straight[: calls // 2 + 1]
+    # A walk beside the line is as symmetric as one on it.
+    image[:, y] -= image[:, y].mean()
+    mended = np.abs(motion.qpos - straight[: -1 : calls // samples])
+    mismatch = velocity_error(motion, physics.model)
+    return {
+        "period_s": calls * period,
+        "stride_length_m": float(motion.stride_length),
+        "speed_mps": float(motion.stride_length) / (samples * CONTROL_PERIOD_S),
+        "pelvis_height_min_m": float(motion.qpos[:, z].min()),
+        "pelvis_height_max_m": float(motion.qpos[:, z].max()),
+        "end_minus_start_qpos": float(np.abs(straight[-1, others] - straight[0, others]).max()),
+        "end_minus_start_qvel": float(np.abs(velocity[-1] - velocity[0]).max()),
+        "asymmetry_qpos": float(np.abs(image[:, others]).max()),
+        "simulated_loop_error_m": float(loop_error(physics.model, qpos).max()),
+        "loop_error_m": float(loop_error(physics.model, motion.qpos).max()),
+        "slip_m": slip(foot_points(physics, qpos)),
+        "mended_qpos": float(mended[:, others].max()),
+        "qvel_minus_difference_active": float(mismatch[robot.ACTIVE_QVEL].max()),
+        "qvel_minus_difference": float(mismatch.max()),
+    }
+
+
+def draw(path: Path, physics: NativePhysics, motion: ReferenceMotion) -> None:
+    """Draw the angles of the active joints and the heights of toes and heels over one stride."""
+    time = CONTROL_PERIOD_S * np.arange(len(motion.qpos))
+    angles = np.rad2deg(motion.qpos[:, robot.ACTIVE_QPOS]).reshape(-1, 2, 5)
+    heights = foot_points(physics, motion.qpos)[..., 2].reshape(-1, 2, 2)
+    figure = Figure(figsize=(10, 5), layout="constrained")
+    axes = figure.subplots(2, 3, sharex=True)
+    for side, (name, colour) in enumerate(zip(robot.SIDES, ("tab:blue", "tab:orange"), strict=True)):
+        for joint, axis in enumerate(axes.flat[:5]):
+            axis.plot(time, angles[:, side, joint], color=colour, label=name)
+            axis.set(title=robot.ACTIVE[joint], ylabel="degrees")
+        for end, style in enumerate(("-", "--")):
+            axes[1, 2].plot(time, 1000 * heights[:, side, end], style, color=colour)
+    axes[1, 2].set(title="height of toe, heel (dashed)", ylabel="mm")
+    for axis in axes[1]:
+        axis.set_xlabel("s")
+    axes[0, 0].legend()
+    figure.savefig(path, dpi=90)
+
+
+def render(path: Path, motion: ReferenceMotion) -> None:
+    """Render frames of one stride, evenly spaced, side by side."""
+    scene = mujoco.MjModel.from_xml_path(str(xml_path("flat")))
+    data = mujoco.MjData(scene)
+    frames = []
+    with mujoco.Renderer(scene, FRAME_HEIGHT, FRAME_WIDTH) as renderer:
+        for k in np.arange(FRAMES) * len(motion.qpos) // FRAMES:
+            data.qpos[:] = motion.qpos[k]
+            mujoco.mj_forward(scene, data)
+            renderer.update_scene(data, camera="side")
+            frames.append(renderer.render())
+    imageio.imwrite(path, np.concatenate(frames, axis=1))
+
+
+def record(config: RecordConfig) -> tuple[ReferenceMotion, dict[str, float]]:
+    """The motion, and figures of it and of the walk that it comes from."""
+    physics = NativePhysics(load(ModelConfig()))
+    qpos, qvel = walk(config, physics)
+    chosen = choose(qpos)
+    qpos, qvel = qpos[:, chosen], qvel[:, chosen]
+    period = CONTROLLERS[config.preset].period
+    every = round(CONTROL_PERIOD_S / period)
+    motion = make_periodic(qpos[::every], qvel[::every], physics.model)
+    figures = statistics(physics, qpos, qvel, motion, period)
+    return motion, {"controller_speed_mps": config.speeds[chosen], **figures}
+
+
+def main(config: RecordConfig) -> None:
+    """Record, print the figures, and write the motion and its pictures."""
+    paths = [cli.check_writable(path) for path in (config.out, config.plot, config.strip) if path]
+    motion, figures = record(config)
+    for name, value in figures.items():
+        Console(stderr=True).print(f"{name:30} {value:.6g}")
+    save(paths[0], motion, cli.provenance(preset=config.preset, strides=config.strides, **figures))
+    if config.plot:
+        draw(Path(config.plot), NativePhysics(load(ModelConfig())), motion)
+    if config.strip:
+        render(Path(config.strip), motion)
+
+
+if __name__ == "__main__":
+    cli.run(main, RecordConfig)
