@@ -44,7 +44,7 @@ _COLUMNS = 98
 _TIME, _QPOS, _QVEL = 0, slice(1, 36), slice(36, 68)
 
 # What tells another robot, or no robot, from Cassie: coarse, for recorded motions overshoot the limits a little.
-_HEIGHTS_M = (0.6, 1.2)
+_HEIGHTS_M = (robot.FALL_LOW_M, robot.FALL_HIGH_M)
 _BEYOND_LIMIT_RAD = 0.3
 _NOT_UNIT = 1e-3
 _NOT_PERIODIC_RAD = 0.1

@@ -83,6 +83,9 @@ SPRUNG_NAMES = tuple(f"{side}-{name}" for side in SIDES for name in SPRUNG)
 SPRUNG_QPOS = qpos_index(*SPRUNG_NAMES)
 SPRUNG_QVEL = qvel_index(*SPRUNG_NAMES)
 SHIN_QPOS = qpos_index("left-shin", "right-shin")
+# A robot whose pelvis is lower or higher than this over the ground below it has fallen, m (Xie et al. 2018).
+FALL_LOW_M, FALL_HIGH_M = 0.6, 1.2
+
 # The pelvis' x y z and the vector part of its quaternion w x y z, in qpos.
 PELVIS_POSITION = qpos_index("pelvis")[:3]
 PELVIS_QUAT_VECTOR = qpos_index("pelvis")[4:7]

@@ -24,7 +24,6 @@ from cassie_mjx.physics.types import Disturbance
 from cassie_mjx.reference import ReferenceMotion, heading_x, make_periodic, save, velocity_error
 
 STRIDE_M, STRIDE_TOLERANCE_M = 0.5, 0.02
-LOW_M, HIGH_M = 0.6, 1.2
 FOOT_RADIUS_M = 0.02
 FRAMES, FRAME_HEIGHT, FRAME_WIDTH = 8, 300, 190
 
@@ -94,7 +93,7 @@ def choose(qpos: np.ndarray) -> int:
     """
     x, y, z = np.moveaxis(qpos[..., robot.qpos_index("pelvis")[:3]], -1, 0)
     length = np.hypot(x[-1] - x[0], y[-1] - y[0])
-    up = ((z > LOW_M) & (z < HIGH_M)).all(axis=0)
+    up = ((z > robot.FALL_LOW_M) & (z < robot.FALL_HIGH_M)).all(axis=0)
     error = np.where(up, np.abs(length - STRIDE_M), np.inf)
     if error.min() > STRIDE_TOLERANCE_M:
         lengths = ", ".join(f"{m:.3f} m" if ok else "a fall" for m, ok in zip(length, up, strict=True))

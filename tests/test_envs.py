@@ -11,7 +11,7 @@ import pytest
 from cassie_mjx import robot
 from cassie_mjx.envs import observation, reward
 from cassie_mjx.envs.walk import WalkConfig, WalkEnv
-from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx
+from cassie_mjx.model import MJX_TRAINING, load, load_for_mjx
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance

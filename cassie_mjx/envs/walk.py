@@ -18,9 +18,6 @@ from cassie_mjx.model import steps_per_control
 from cassie_mjx.physics.types import Array, Disturbance, Physics, delayed, merge
 from cassie_mjx.reference import ReferenceMotion, sample
 
-MIN_HEIGHT_M, MAX_HEIGHT_M = 0.6, 1.2
-"""Pelvis height over the ground below it, outside of which a robot has fallen."""
-
 
 @dataclass(frozen=True)
 class WalkConfig:
@@ -137,7 +134,7 @@ class WalkEnv:
         rewards = {name: jnp.where(nan, 0.0, reward.total(values)) for name, values in terms.items()}
         earned = rewards[self.config.reward]
         height = qpos[:, 2] - terrain * jnp.sin(qpos[:, 0])
-        fallen = nan | (height < MIN_HEIGHT_M) | (height > MAX_HEIGHT_M)
+        fallen = nan | (height < robot.FALL_LOW_M) | (height > robot.FALL_HIGH_M)
         low = jnp.zeros_like(nan) if self.config.early_end_reward is None else earned < self.config.early_end_reward
         terminated = fallen | low
         truncated = ~terminated & (clock.step >= self.config.episode_steps)

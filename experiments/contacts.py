@@ -1,0 +1,93 @@
+"""Which parts of Cassie can touch in walking: `python -m experiments.contacts out=FILE.json`.
+
+Both heuristic walkers walk with every contact of the published model, undisturbed and recovering from pushes in four
+directions at eight phases of the stride. For each pair of geoms the smallest distance over all robots that stayed up
+says whether the pair is needed.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from rich.console import Console
+
+from cassie_mjx import cli
+from cassie_mjx.evaluate import DIRECTIONS, LIMIT_PHASES, ControllerSubject
+from cassie_mjx.model import WALKING_PAIRS, ModelConfig, load
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.sweeps import Trial, disturbances, fallen, placed
+
+FAR_M = 0.5
+
+
+@dataclass(frozen=True)
+class ContactsConfig:
+    """What to walk through."""
+
+    out: str = "contacts.json"
+    """Result file."""
+    push_n: float = 60.0
+    """Force of the 0.2 s pushes, N."""
+    seconds: float = 4.0
+    """Walking after the push begins, s."""
+
+
+def trajectories(name: str, push_n: float, seconds: float) -> np.ndarray:
+    """Qpos [samples, 35], every 32 ms, of a controller's robots that stay up."""
+    physics = NativePhysics(load(ModelConfig(contacts="published")))
+    subject = ControllerSubject(name)
+    starts = subject.start(physics, LIMIT_PHASES)
+    phases = range(len(LIMIT_PHASES))
+    trials = [Trial(k, seconds, push=(push_n * x, push_n * y)) for x, y in DIRECTIONS.values() for k in phases]
+    state, memory = placed(subject, starts, trials)
+    hertz = 1 / physics.model.opt.timestep
+    disturbance = disturbances(trials, state, round(0.2 * hertz))
+    act_steps = round(subject.period_s * hertz)
+    samples = []
+    for call in range(round(seconds / subject.period_s)):
+        target, memory = subject.act(physics, state, memory)
+        state = physics.advance(state, np.nan_to_num(np.asarray(target, float)), disturbance, act_steps)
+        if call % round(0.032 / subject.period_s) == 0:
+            samples.append(state.qpos)
+    up = ~fallen(state.qpos, np.zeros(len(trials)))
+    return np.array(samples)[:, up].reshape(-1, state.qpos.shape[1])
+
+
+def smallest_distances(qpos: np.ndarray) -> dict[str, float]:
+    """Smallest distance between the geoms of each pair over qpos [samples, 35], m; negative where they overlap."""
+    model = load(ModelConfig(contacts="published"))
+    data = mujoco.MjData(model)
+    smallest = np.full(model.npair, FAR_M)
+    for configuration in qpos:
+        data.qpos[:] = configuration
+        mujoco.mj_kinematics(model, data)
+        for i, (geom1, geom2) in enumerate(zip(model.pair_geom1, model.pair_geom2, strict=True)):
+            smallest[i] = min(smallest[i], mujoco.mj_geomDistance(model, data, geom1, geom2, FAR_M, None))
+    return {model.pair(i).name: float(distance) for i, distance in enumerate(smallest)}
+
+
+def main(config: ContactsConfig) -> None:
+    """Walk, measure and write the result."""
+    out = cli.check_writable(config.out)
+    rows = []
+    for name in ("stiff", "compliant"):
+        for push_n in (0.0, config.push_n):
+            qpos = trajectories(name, push_n, config.seconds)
+            for pair, distance in sorted(smallest_distances(qpos).items(), key=lambda item: item[1]):
+                kept = "walking" if pair in WALKING_PAIRS else "referee" if "hip-pitch" not in pair else "published"
+                rows.append(
+                    {
+                        "subject": f"controller:{name}",
+                        "push_N": push_n,
+                        "pair": pair,
+                        "smallest_distance_mm": round(1000 * distance, 1),
+                        "contacts": kept,
+                        "samples": len(qpos),
+                    }
+                )
+                Console(stderr=True).print(rows[-1])
+    cli.write_json(out, {"rows": rows, "provenance": cli.provenance()})
+
+
+if __name__ == "__main__":
+    cli.run(main, ContactsConfig)
