@@ -29,7 +29,7 @@ class PPOConfig:
     num_steps: int = 32
     """Control steps that each robot takes in one iteration."""
 
-    iterations: int = 200
+    iterations: int = 300
     """Iterations (collect, then update) of a whole run; the linear schedule ends here."""
 
     updates_per_iteration: int = 40
@@ -65,8 +65,8 @@ class PPOConfig:
     actor_learning_rate: float = 3e-4
     """Adam step size of the actor at iteration 0."""
 
-    actor_schedule: str = "constant"
-    """How the actor's step size falls over iterations: constant, linear or exponential."""
+    actor_schedule: str = "linear"
+    """How the actor's step size and `target_kl` fall over iterations: constant, linear or exponential."""
 
     critic_learning_rate: float = 1e-3
     """Adam step size of the critic at iteration 0."""
@@ -80,7 +80,7 @@ class PPOConfig:
     learning_rate_floor: float = 0.1
     """Fraction of the initial step size below which no schedule goes (*paper*: 1e-4 of 1e-3 and 1e-3 of 1e-2)."""
 
-    target_kl: float | None = 0.02
+    target_kl: float | None = 0.05
     """KL divergence of one iteration, nats, that the actor's step size is steered to; null steers nothing."""
 
     max_grad_norm: float | None = 1.0
@@ -151,3 +151,19 @@ PPO_PRESETS = {
     "massive": PPOConfig(num_robots=4096, num_steps=16, iterations=300, minibatch_size=8192),
 }
 """The learner's presets by name."""
+
+
+def speed_factor(speed: str) -> float:
+    """The factor that a speed such as "2x" or "1.5" names.
+
+    Raises:
+        ValueError: it is not a number from 0 to 4, with or without an x.
+    """
+    try:
+        factor = float(speed.removesuffix("x"))
+    except ValueError:
+        factor = -1.0
+    # The paper's range: beyond 4 the legs cannot follow the stretched stride.
+    if not 0 <= factor <= 4:
+        raise ValueError(f"speed={speed} is not a speed; give a factor from 0x to 4x, such as 2x or 1.5x.")
+    return factor

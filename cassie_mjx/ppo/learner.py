@@ -113,7 +113,7 @@ def update(
         actor_learning_rate=rates.actor,
         critic_learning_rate=rates.critic,
     )
-    step_factor = _adapt(config, state.step_factor, metrics.kl)
+    step_factor = _adapt(config, state, metrics.kl)
     return trained._replace(step_factor=step_factor, iteration=state.iteration + 1), metrics
 
 
@@ -135,12 +135,14 @@ def _schedule(config: PPOConfig, name: str, iteration: Int[Array, ""]) -> Float[
     return jnp.maximum(factor, config.learning_rate_floor)
 
 
-def _adapt(config: PPOConfig, step_factor: Float[Array, ""], kl: Float[Array, ""]) -> Float[Array, ""]:
+def _adapt(config: PPOConfig, state: LearnerState, kl: Float[Array, ""]) -> Float[Array, ""]:
     if config.target_kl is None:
-        return step_factor
-    too_far, too_short = kl > config.target_kl * KL_BAND, kl < config.target_kl / KL_BAND
-    adapted = jnp.where(too_far, step_factor / KL_STEP, jnp.where(too_short, step_factor * KL_STEP, step_factor))
-    return jnp.clip(adapted, *STEP_FACTOR_BOUNDS)
+        return state.step_factor
+    # The scheduled step size alone would not fall, for the factor would rise to keep the divergence; so both fall.
+    target = config.target_kl * _schedule(config, config.actor_schedule, state.iteration)
+    too_far, too_short = kl > target * KL_BAND, kl < target / KL_BAND
+    change = jnp.where(too_far, 1 / KL_STEP, jnp.where(too_short, KL_STEP, 1.0))
+    return jnp.clip(state.step_factor * change, *STEP_FACTOR_BOUNDS)
 
 
 def _prepare(

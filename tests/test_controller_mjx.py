@@ -1,0 +1,41 @@
+"""The heuristic walker on MJX: the same law in float32, compiled with the physics into one loop."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from cassie_mjx import controller, robot
+from cassie_mjx.controller import CONTROLLERS
+from cassie_mjx.model import MJX_TRAINING, load_for_mjx
+from cassie_mjx.physics.mjx import MjxPhysics
+from cassie_mjx.physics.types import Disturbance
+
+SECONDS, ROBOTS = 10.0, 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_walks_ten_seconds(standing_qpos, name):
+    config = CONTROLLERS[name]
+    physics = MjxPhysics(load_for_mjx(replace(MJX_TRAINING, contacts="referee")))
+    act_steps = round(config.period * 1000)
+    disturbance = Disturbance.none(ROBOTS)
+    qvel = 0.02 * np.random.default_rng(0).normal(size=(ROBOTS, robot.NV)).astype(np.float32)
+    state = physics.init(np.tile(standing_qpos, (ROBOTS, 1)).astype(np.float32), qvel)
+    control = controller.init(config, state.qpos, state.qvel, physics.bodies(state))
+
+    def act(carry, _):
+        state, control = carry
+        target, control = controller.step(config, control, state.qpos, state.qvel, physics.bodies(state), config.period)
+        state = physics.advance(state, target, disturbance, act_steps)
+        return (state, control), state.qpos[:, :3]
+
+    acts = round(SECONDS / config.period)
+    (state, _), pelvis = jax.jit(lambda s, c: jax.lax.scan(act, (s, c), None, length=acts))(state, control)
+    height = np.asarray(pelvis[..., 2])
+    assert height.min() > robot.FALL_LOW_M
+    assert height.max() < robot.FALL_HIGH_M
+    late = np.asarray(pelvis)[-round(4.928 / config.period) :, :, 0]
+    np.testing.assert_allclose((late[-1] - late[0]) / 4.928, 0.7, atol=0.1)
