@@ -4,7 +4,7 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help setup test test-all lint bench clean
+.PHONY: help setup train test test-all lint bench clean
 
 help:            ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/:/'
@@ -16,6 +16,9 @@ $(VENV)/ready: pyproject.toml constraints.txt
 	@touch $@
 
 setup: $(VENV)/ready  ## the virtual environment in .venv
+
+train: setup     ## train the 1x walk; other runs: make train ARGS='speed=2x seed=1'
+	$(RUN) -m cassie_mjx.train $(ARGS)
 
 test: setup      ## linters, types and tests
 	$(RUN) -m ruff check .

@@ -13,13 +13,32 @@ SOURCES = sorted(PACKAGE.rglob("*.py")) + sorted((ROOT / "experiments").glob("*.
 FORBIDDEN = {
     "cassie_mjx.robot": {"cassie_mjx", "brax", "jax"},
     "cassie_mjx.model": {"cassie_mjx.physics", "cassie_mjx.envs", "cassie_mjx.ppo", "cassie_mjx.reference", "brax"},
-    "cassie_mjx.reference": {"cassie_mjx.physics", "cassie_mjx.envs", "cassie_mjx.ppo", "cassie_mjx.controller", "brax"},
-    "cassie_mjx.physics": {"cassie_mjx.envs", "cassie_mjx.ppo", "cassie_mjx.reference", "cassie_mjx.controller", "brax"},
+    "cassie_mjx.reference": {
+        "cassie_mjx.physics",
+        "cassie_mjx.envs",
+        "cassie_mjx.ppo",
+        "cassie_mjx.controller",
+        "brax",
+    },
+    "cassie_mjx.physics": {
+        "cassie_mjx.envs",
+        "cassie_mjx.ppo",
+        "cassie_mjx.reference",
+        "cassie_mjx.controller",
+        "brax",
+    },
     "cassie_mjx.envs": {
         *("cassie_mjx.ppo", "cassie_mjx.train", "cassie_mjx.checkpoint", "cassie_mjx.evaluate", "cassie_mjx.render"),
         "cassie_mjx.controller",
     },
-    "cassie_mjx.ppo": {"cassie_mjx.envs", "cassie_mjx.physics", "cassie_mjx.robot", "cassie_mjx.model", "mujoco", "brax"},
+    "cassie_mjx.ppo": {
+        "cassie_mjx.envs",
+        "cassie_mjx.physics",
+        "cassie_mjx.robot",
+        "cassie_mjx.model",
+        "mujoco",
+        "brax",
+    },
 }
 
 

@@ -1,0 +1,252 @@
+"""A policy as one .npz file that runs on NumPy alone: `python -m cassie_mjx.export run=runs/1x-seed0 out=policy.npz`.
+
+The file holds everything between a state of the robot and the PD targets: weights, input statistics, reference motion,
+joint names, gains and the layout of the observation. Nothing in it is pickled. Running it takes NumPy alone.
+"""
+
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from cassie_mjx.ppo.types import Policy
+    from cassie_mjx.reference import ReferenceMotion
+
+FORMAT = "cassie-mjx policy"
+VERSION = 1
+CHOICES = ("best", "last")
+
+_ARRAYS = ("mean", "std", "reference_qpos", "reference_qvel", "p_gain", "d_gain")
+_NUMBERS = ("clip", "samples", "speed", "reference_stride_length")
+_LISTS = ("joints", "observation")
+
+# What NumPy and zipfile raise on content that is none of theirs.
+_UNREADABLE = (OSError, EOFError, ValueError, TypeError, KeyError, RuntimeError, zipfile.BadZipFile, zlib.error)
+
+
+@dataclass(frozen=True)
+class NumpyPolicy:
+    """A saved policy: `policy(observation)` is its deterministic action. Make one with `NumpyPolicy.load(path)`.
+
+    Every 32 ms, hold the PD targets `reference_qpos[(phase + 1) % N, active joints] + action`.
+    """
+
+    weights: tuple[tuple[np.ndarray, np.ndarray], ...]
+    """(W [inputs, outputs], b [outputs]) of each layer, float32; ReLU between them, tanh at the end."""
+    mean: np.ndarray
+    """[80], subtracted from an observation."""
+    std: np.ndarray
+    """[80], which the difference is divided by."""
+    clip: float
+    """Bound on the result, either way."""
+    samples: float
+    """Observations behind mean and std."""
+    speed: float
+    """Factor by which the recorded reference motion was stretched along x; already in the arrays below."""
+    reference_qpos: np.ndarray
+    """[N, 35], the stride in MuJoCo's order, a sample every 32 ms: m, unit quaternions w x y z, rad."""
+    reference_qvel: np.ndarray
+    """[N, 32], its velocities: m/s, rad/s."""
+    reference_stride_length: float
+    """What pelvis x gains in a stride, m."""
+    joints: tuple[str, ...]
+    """Names of the ten active joints, in the order of the action."""
+    p_gain: np.ndarray
+    """[10], N·m/rad."""
+    d_gain: np.ndarray
+    """[10], N·m·s/rad."""
+    observation: tuple[str, ...]
+    """A line for each group of the observation: slice, content, unit."""
+    provenance: Mapping[str, Any]
+    """Where it came from: command, commit, versions, returns."""
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """Return the residuals on the reference angles of the active joints, rad, [10] or [B, 10].
+
+        Args:
+          observation: [80] or [B, 80], as `self.observation` describes it.
+
+        Raises:
+          ValueError: another number of inputs.
+        """
+        x = np.asarray(observation, np.float32)
+        if x.shape[-1:] != self.mean.shape:
+            raise ValueError(
+                f"An observation of shape {x.shape} was given; this policy takes {len(self.mean)} numbers."
+            )
+        x = ((x - self.mean) / self.std).clip(-self.clip, self.clip)
+        *hidden, (output, output_bias) = self.weights
+        for weight, bias in hidden:
+            x = np.maximum(x @ weight + bias, 0)
+        return np.tanh(x @ output + output_bias)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "NumpyPolicy":
+        """Read a policy file.
+
+        Raises:
+          ValueError: the file is missing, damaged, of another format, or its parts do not fit together.
+        """
+        content = _read(Path(path))
+        layers = range(int(content["layers"]))
+        fields: dict[str, Any] = {name: content[name] for name in _ARRAYS}
+        fields |= {name: float(content[name]) for name in _NUMBERS}
+        fields |= {name: tuple(content[name].tolist()) for name in _LISTS}
+        fields["weights"] = tuple((content[f"weight_{i}"], content[f"bias_{i}"]) for i in layers)
+        fields["provenance"] = json.loads(str(content["provenance"]))
+        policy = cls(**fields)
+        _check_fit(policy, Path(path))
+        return policy
+
+
+def save_policy(
+    path: Path, policy: "Policy", motion: "ReferenceMotion", speed: float, provenance: Mapping[str, Any]
+) -> None:
+    """Write a policy file, whole or not at all.
+
+    Args:
+      path: ends in .npz.
+      policy: actor and input statistics.
+      motion: what the policy was trained to follow, stretched already.
+      speed: by which factor.
+      provenance: anything JSON can hold.
+
+    Raises:
+      OSError: it cannot be written; a file of that name is as it was.
+    """
+    from cassie_mjx import robot
+    from cassie_mjx.envs import observation
+    from cassie_mjx.ppo import networks, normalizer
+
+    layers = networks.layers(policy.actor)
+    arrays: dict[str, Any] = {f"weight_{i}": weight for i, (weight, _) in enumerate(layers)}
+    arrays |= {f"bias_{i}": bias for i, (_, bias) in enumerate(layers)}
+    arrays |= {
+        "format": FORMAT,
+        "version": VERSION,
+        "provenance": json.dumps(dict(provenance)),
+        "speed": speed,
+        "layers": len(layers),
+        "mean": policy.normalizer.mean,
+        "std": normalizer.std(policy.normalizer),
+        "clip": normalizer.CLIP,
+        "samples": policy.normalizer.samples,
+        "reference_qpos": motion.qpos,
+        "reference_qvel": motion.qvel,
+        "reference_stride_length": motion.stride_length,
+        "joints": robot.ACTUATORS,
+        "p_gain": robot.P_GAIN,
+        "d_gain": robot.D_GAIN,
+        "observation": observation.describe(),
+    }
+    partial = path.with_name(path.name + ".partial")
+    try:
+        with partial.open("wb") as file:
+            np.savez(file, **arrays)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise OSError(f"The policy {path} could not be written ({error.strerror or error}).") from error
+
+
+def learner_policy(saved: NumpyPolicy) -> "Policy":
+    """The same policy for `ppo.networks`: to be evaluated on an accelerator, or trained further.
+
+    Raises:
+      ValueError: it was trained on another layout of the observation than this version's.
+    """
+    import jax.numpy as jnp
+
+    from cassie_mjx.envs import observation
+    from cassie_mjx.ppo.types import Normalizer, Policy
+
+    differing = [line for line in saved.observation if line not in observation.describe()]
+    if differing or len(saved.observation) != len(observation.describe()):
+        raise ValueError(
+            f"The policy observes {'; '.join(differing) or len(saved.observation)}, which this version's observation "
+            "has not; use the version it was trained with, named in its provenance."
+        )
+    names = [*(f"hidden_{i}" for i in range(len(saved.weights) - 1)), "output"]
+    layers = [{"kernel": jnp.asarray(weight), "bias": jnp.asarray(bias)} for weight, bias in saved.weights]
+    squares = jnp.asarray(np.square(saved.std) * saved.samples)
+    normalizer = Normalizer(jnp.asarray(saved.samples, jnp.float32), jnp.asarray(saved.mean), squares)
+    return Policy(normalizer, dict(zip(names, layers, strict=True)))
+
+
+def _read(path: Path) -> dict[str, np.ndarray]:
+    if not path.is_file():
+        raise ValueError(f"There is no policy file {path}.")
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            content = {name: archive[name] for name in archive.files}
+    except _UNREADABLE as error:
+        raise ValueError(f"{path} is damaged or no policy file: {error}.") from error
+    if str(content.get("format")) != FORMAT:
+        raise ValueError(f"{path} is not a {FORMAT}; make one with python -m cassie_mjx.export.")
+    if content.get("version") != VERSION:
+        raise ValueError(f"{path} has version {content.get('version')}; this program reads version {VERSION}.")
+    layers = int(content.get("layers", 0))
+    expected = {"format", "version", "provenance", "layers", *_ARRAYS, *_NUMBERS, *_LISTS}
+    expected |= {f"{kind}_{i}" for kind in ("weight", "bias") for i in range(layers)}
+    if content.keys() != expected:
+        raise ValueError(f"{path} is damaged: {', '.join(sorted(expected ^ content.keys()))} missing or too much.")
+    return content
+
+
+def _check_fit(policy: NumpyPolicy, path: Path) -> None:
+    """Raise ValueError unless the parts of a policy have sizes that fit together."""
+    inputs = int(policy.observation[-1].split()[0].split(":")[1]) if policy.observation else 0
+    widths = [inputs, *(len(bias) for _, bias in policy.weights)]
+    shapes = pairwise(widths)
+    for name, array, shape in (
+        ("mean", policy.mean, (inputs,)),
+        ("std", policy.std, (inputs,)),
+        *((f"weight_{i}", weight, next(shapes)) for i, (weight, _) in enumerate(policy.weights)),
+    ):
+        if array.shape != shape:
+            raise ValueError(f"{path} does not fit together: {name} has shape {array.shape} instead of {shape}.")
+    if widths[-1] != len(policy.joints):
+        raise ValueError(f"{path} does not fit together: {widths[-1]} outputs for {len(policy.joints)} joints.")
+
+
+@dataclass(frozen=True)
+class ExportConfig:
+    """What to export."""
+
+    run: str
+    """Directory of a training run."""
+    out: str
+    """File to write, .npz."""
+    which: str = "best"
+    """"best": the policy of the highest weighted return; "last": that of the last evaluation."""
+
+
+def main(config: ExportConfig) -> None:
+    """Copy a run's policy to a file of its own, checked."""
+    from cassie_mjx import cli
+
+    if config.which not in CHOICES:
+        raise ValueError(f"which={config.which!r} is not known; choose one of {', '.join(CHOICES)}.")
+    out, source = cli.check_writable(config.out), Path(config.run) / f"{config.which}.npz"
+    policy = NumpyPolicy.load(source)
+    partial = out.with_name(out.name + ".partial")
+    partial.write_bytes(source.read_bytes())
+    partial.replace(out)
+    returns = {name: value for name, value in policy.provenance.items() if name.startswith("return_")}
+    print(f"{out}: " + ", ".join(f"{name} {value:.1f}" for name, value in returns.items()))
+
+
+if __name__ == "__main__":
+    from cassie_mjx import cli
+
+    cli.run(main, ExportConfig)

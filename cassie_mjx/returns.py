@@ -1,0 +1,60 @@
+"""The return that every learning curve and headline figure is made of: undisturbed walking, deterministic policy."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.model import ModelConfig, load
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.reference import ReferenceMotion
+
+STARTS = 10
+EPISODE_STEPS = 300
+
+Act = Callable[[Any], Any]
+"""A deterministic policy: observation [B, 80] to action [B, 10]."""
+
+
+def referee(motion: ReferenceMotion) -> WalkEnv:
+    """The task that returns are measured on: MuJoCo C at 2 kHz, ten robots, an episode ended by a fall alone."""
+    config = WalkConfig(early_end_reward=None, episode_steps=EPISODE_STEPS)
+    return WalkEnv(NativePhysics(load(ModelConfig(physics_hz=2000))), motion, config, STARTS)
+
+
+def walk_returns(act: Act, env: WalkEnv) -> dict[str, float]:
+    """Walk one episode from each of the phases k/B of the stride; rewards after a fall are 0.
+
+    Args:
+      act: the policy.
+      env: B robots of an environment whose episodes only a fall or the time limit ends (`referee`).
+
+    Returns:
+      Means over the B starts: `return_plain`, `return_weighted`, and `steps` survived, of `env.config.episode_steps`.
+
+    Raises:
+      ValueError: the environment ends episodes early, which would count as falls.
+    """
+    if env.config.early_end_reward is not None:
+        raise ValueError("Returns are measured without an early end; make the environment with early_end_reward=None.")
+    phase = np.round(np.arange(env.robots) * env.samples / env.robots).astype(np.int32) % env.samples
+    state = env.reset_at(phase, Disturbance.none(env.robots))
+    walking = np.ones(env.robots, bool)
+    phase_key = jax.random.key(0)  # of robots that walk on after a fall, which count no more
+    sums = {
+        "return_plain": np.zeros(env.robots),
+        "return_weighted": np.zeros(env.robots),
+        "steps": np.zeros(env.robots),
+    }
+    for _ in range(env.config.episode_steps):
+        state = env.step(state, np.asarray(act(state.observation)), phase_key)
+        for reward in ("plain", "weighted"):
+            sums[f"return_{reward}"] += walking * np.asarray(state.metrics[reward])
+        walking &= ~np.asarray(state.terminated)
+        sums["steps"] += walking
+        if not walking.any():
+            break
+    return {name: float(values.mean()) for name, values in sums.items()}

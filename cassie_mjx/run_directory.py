@@ -1,0 +1,52 @@
+"""Who may write into a run's directory: a new run, or the one that is there already and wants to go on."""
+
+import json
+import shlex
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from cassie_mjx import checkpoint, cli
+from cassie_mjx.training import TrainConfig
+
+
+def claim(folder: Path, config: TrainConfig, provenance: dict[str, Any]) -> checkpoint.Restored | None:
+    """Take the run directory for a resolved configuration, and read its last checkpoint if the run is to go on.
+
+    Raises:
+      ValueError: it holds a run already and `resume` is not set, or another run, or none to resume.
+      OSError: it cannot be written.
+    """
+    wanted = _comparable(asdict(config))
+    path = folder / "config.json"
+    if not path.exists():
+        if config.resume:
+            raise ValueError(f"{folder} holds no run to resume; leave resume=true out to start one.")
+        folder.mkdir(parents=True, exist_ok=True)
+        cli.write_json(path, {"config": wanted, "provenance": provenance})
+        return None
+    held = json.loads(path.read_text())["config"]
+    if held != wanted:
+        differing = [f"{key}={held.get(key)}" for key in wanted if held.get(key) != wanted[key]]
+        raise ValueError(f"{folder} holds another run, with {', '.join(differing)}; choose another run_dir.")
+    if not config.resume:
+        raise ValueError(f"{folder} holds this run already; to go on with it: {resume_command()}")
+    last = checkpoint.latest(folder / "checkpoints")
+    return checkpoint.restore(last) if last else None
+
+
+def resume_command() -> str:
+    """The present command, with resume=true."""
+    arguments = [argument for argument in sys.argv[1:] if not argument.startswith("resume=")]
+    return shlex.join(["python", "-m", "cassie_mjx.train", *arguments, "resume=true"])
+
+
+def _comparable(config: dict[str, Any]) -> dict[str, Any]:
+    """What makes a run the run it is, flat and as JSON gives it back."""
+    flat = {}
+    for name, value in config.items():
+        parts = value.items() if isinstance(value, dict) else ()
+        flat |= {f"{name}.{part}": setting for part, setting in parts} or {name: value}
+    kept = {name: value for name, value in flat.items() if name not in ("resume", "run_dir")}
+    return json.loads(json.dumps(kept))

@@ -1,0 +1,214 @@
+"""Train a policy: `python -m cassie_mjx.train speed=1x`.
+
+The host's loop: iterate, measure, save. A run is a directory with its configuration, metrics, checkpoints and policies;
+whatever ends it, the same command with resume=true goes on exactly where the last checkpoint was.
+"""
+
+import os
+import signal
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import FrameType
+
+import jax
+from rich.console import Console
+
+from cassie_mjx import checkpoint, cli, hydra_cli, reference, run_directory
+from cassie_mjx.config import PPO_PRESETS, speed_factor
+from cassie_mjx.export import save_policy
+from cassie_mjx.metrics import JsonLines, TensorBoard, Terminal
+from cassie_mjx.ppo import networks
+from cassie_mjx.returns import referee, walk_returns
+from cassie_mjx.training import IterationMetrics, TrainConfig, Trainer, resolve
+
+
+@dataclass
+class Counters:
+    """What the host counts over a whole run, resumed or not."""
+
+    train_s: float = 0.0
+    """Time in training, evaluations apart, s."""
+    best_return: float = -1.0
+    """Highest `return_weighted` so far."""
+    return_plain: float = 0.0
+    """`return_plain` of the same policy."""
+
+
+@dataclass
+class Lap:
+    """What the host counts from one evaluation to the next."""
+
+    train_s: float = 0.0
+    """Time in training, s."""
+    iterations: int = 0
+    nan: int = 0
+    """Robots whose physics diverged, and whose episode ended with that."""
+
+
+class Session:
+    """One process' part of a run: from its start or its last checkpoint to its end or a signal."""
+
+    def __init__(self, config: TrainConfig, console: Console) -> None:
+        """Claim the run's directory and load what it holds.
+
+        Raises:
+          ValueError: the configuration, the reference or the directory will not do; nothing is written then.
+        """
+        self.config = config = resolve(config)
+        self.folder = Path(str(config.run_dir))
+        motion = reference.stretch(reference.resolve(config.reference), speed_factor(config.speed))
+        self.provenance = cli.provenance()
+        restored = run_directory.claim(self.folder, config, self.provenance)
+        self.motion = restored.motion if restored else motion
+        self.trainer = Trainer(config, self.motion)
+        self.run, self.counters = self.trainer.start(), Counters()
+        if restored:
+            self.run = checkpoint.fill(self.run, restored.arrays)
+            self.counters = Counters(**restored.record["counters"])
+        self.saved = self.done if restored else None
+        self.terminal = Terminal(console, config.ppo.iterations, self.done)
+        self.sinks = (
+            JsonLines(self.folder / "metrics.jsonl", self.samples),
+            TensorBoard(self.folder / "tensorboard", self.samples),
+            self.terminal,
+        )
+        self.referee, self.act = referee(self.motion), jax.jit(networks.mode)
+        self.lap = Lap()
+
+    @property
+    def done(self) -> int:
+        """Iterations done."""
+        return int(self.run.learner.iteration)
+
+    @property
+    def samples(self) -> int:
+        """Control steps learned from."""
+        return self.done * self.config.ppo.num_samples
+
+    def train(self) -> None:
+        """Train until the last iteration or a signal, and say what came of it."""
+        with Interruption() as interruption, self.terminal:
+            self.terminal.say(f"{'Resuming' if self.done else 'Training'} in {self.folder}: {self._plan()}")
+            if self.saved is None:
+                began = time.perf_counter()
+                self.run = jax.block_until_ready(self.trainer.gather_statistics(self.run))
+                self._count(time.perf_counter() - began)
+            while self.done < self.config.ppo.iterations and not interruption.signal:
+                self._iterate()
+            if self.saved != self.done:
+                self._save()
+        if interruption.signal and self.done < self.config.ppo.iterations:
+            self.terminal.say(
+                f"Stopped and saved after iteration {self.done}. To go on:\n  {run_directory.resume_command()}"
+            )
+            sys.exit(128 + interruption.signal)
+        self._conclude()
+
+    def _iterate(self) -> None:
+        began = time.perf_counter()
+        self.run, metrics = self.trainer.iterate(self.run)
+        metrics = jax.device_get(metrics)
+        elapsed = time.perf_counter() - began
+        self._count(elapsed)
+        self.lap.iterations += 1
+        self.lap.nan += int(metrics.nan)
+        rate = self.config.ppo.num_samples / elapsed
+        self.terminal.advance(float(metrics.update.reward), self._episode_steps(metrics), rate)
+        if self.done % self.config.evaluate_every == 0 or self.done == self.config.ppo.iterations:
+            self._measure(metrics)
+            self._save()
+
+    def _count(self, seconds: float) -> None:
+        self.counters.train_s += seconds
+        self.lap.train_s += seconds
+
+    def _measure(self, metrics: IterationMetrics) -> None:
+        """Measure the return, log it, and keep the policy."""
+        began = time.perf_counter()
+        policy = self.run.learner.policy
+        returns = walk_returns(lambda seen: self.act(policy, seen), self.referee)
+        values = self._values(metrics, returns, time.perf_counter() - began)
+        for sink in self.sinks:
+            sink.write(values)
+        origin = self.provenance | {"seed": self.config.seed, "samples": self.samples, **returns}
+        names = ["last"]
+        if returns["return_weighted"] > self.counters.best_return:
+            self.counters.best_return, self.counters.return_plain = returns["return_weighted"], returns["return_plain"]
+            names.append("best")
+        for name in names:
+            save_policy(self.folder / f"{name}.npz", policy, self.motion, speed_factor(self.config.speed), origin)
+
+    def _values(self, metrics: IterationMetrics, returns: dict[str, float], eval_s: float) -> dict[str, float]:
+        """One line of metrics; counts, rates and shares of the time are those since the last one."""
+        lap, self.lap = self.lap, Lap()
+        seconds = {"eval": eval_s, **self.trainer.watch.lap()}
+        return {
+            "train/iteration": self.done,
+            "train/samples": self.samples,
+            "train/episode_steps": self._episode_steps(metrics),
+            "train/nan": lap.nan,
+            "time/train_s": self.counters.train_s,
+            "time/samples_per_s": lap.iterations * self.config.ppo.num_samples / lap.train_s,
+            "time/physics_steps_per_s": lap.iterations * self.trainer.physics_steps / lap.train_s,
+            **{f"time/{name}_share": spent / (eval_s + lap.train_s) for name, spent in seconds.items()},
+            **{f"eval/{name}": value for name, value in returns.items()},
+            **{f"learner/{name}": float(value) for name, value in metrics.update._asdict().items()},
+        }
+
+    def _episode_steps(self, metrics: IterationMetrics) -> float:
+        """Mean length of an episode, control steps per end; the longest there is if none ended."""
+        ended = float(metrics.update.terminated + metrics.update.truncated)
+        return 1 / max(ended, 1 / self.config.walk.episode_steps)
+
+    def _save(self) -> None:
+        record = {"config": asdict(self.config), "counters": asdict(self.counters), "provenance": self.provenance}
+        checkpoint.save(self.folder / "checkpoints", self.done, self.run, self.motion, record)
+        self.saved = self.done
+
+    def _plan(self) -> str:
+        config = self.config
+        return (
+            f"{config.speed} on {config.reference}, {config.ppo.num_robots} robots on {config.physics} at "
+            f"{config.physics_hz} Hz, {config.ppo.iterations} iterations of {config.ppo.num_samples:,} samples."
+        )
+
+    def _conclude(self) -> None:
+        best = self.folder / "best.npz"
+        self.terminal.say(
+            f"Done: a return of {self.counters.best_return:.1f} of 300 by the weighted reward, "
+            f"{self.counters.return_plain:.1f} by the plain one, after {self.counters.train_s:.0f} s of training.\n"
+            f"The policy: {best}\n"
+            f"Next: python -m cassie_mjx.evaluate policy={best}"
+        )
+
+
+class Interruption:
+    """SIGINT and SIGTERM as a request, noted in `signal`; a second one ends the process at once."""
+
+    def __init__(self) -> None:
+        self.signal = 0
+
+    def __enter__(self) -> "Interruption":
+        self._before = {number: signal.signal(number, self._note) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, _: FrameType | None) -> None:
+        self.signal = number
+        self.__exit__()
+
+
+def main(config: TrainConfig) -> None:
+    """Train one policy."""
+    # On few cores, XLA's threads take time from the physics' threads; it reads this when it makes its first array.
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+    Session(config, Console()).train()
+
+
+if __name__ == "__main__":
+    hydra_cli.run(main, TrainConfig, "train", {"ppo": ("parallel", PPO_PRESETS)})

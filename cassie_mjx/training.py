@@ -1,0 +1,156 @@
+"""What a training run is made of: its configuration, its engine, its state, and one iteration of it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from cassie_mjx import robot
+from cassie_mjx.config import PPOConfig, speed_factor
+from cassie_mjx.envs import observation
+from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.metrics import Stopwatch
+from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx, steps_per_control
+from cassie_mjx.physics.mjx import MjxPhysics
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.ppo import learner, rollout
+from cassie_mjx.ppo.types import LearnerState, UpdateMetrics
+from cassie_mjx.reference import ReferenceMotion
+
+# Rates that training is stable and fast at, Hz; every return is measured at 2 kHz.
+TRAINING_HZ = {"native": 500, "mjx": 1000}
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """A training run."""
+
+    speed: str = "1x"
+    """Factor on the pelvis x of the reference motion, from "0x" to "4x"."""
+    physics: str = "auto"
+    """"native": MuJoCo C on CPU threads; "mjx"; "auto": MJX if there is an accelerator."""
+    physics_hz: int | None = None
+    """Physics steps a second in training; null for 500 on MuJoCo C and 1000 on MJX."""
+    seed: int = 0
+    """What all random numbers of the run come from."""
+    reference: str = "walk"
+    """Reference motion: a name that we ship, or a file."""
+    walk: WalkConfig = field(default_factory=WalkConfig)
+    """The task."""
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+    """The learner: a preset (ppo=paper) and single values (ppo.gamma=0.98)."""
+    evaluate_every: int = 10
+    """Iterations between measurements of the return; each is followed by a checkpoint."""
+    run_dir: str | None = None
+    """Directory of the run; null for runs/<speed>-seed<seed>."""
+    resume: bool = False
+    """Whether to go on with the run that `run_dir` holds."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a value out of range."""
+        speed_factor(self.speed)
+        if self.physics not in ("auto", *TRAINING_HZ):
+            raise ValueError(f"physics={self.physics} is not known; choose one of auto, {', '.join(TRAINING_HZ)}.")
+        if self.physics_hz is not None:
+            steps_per_control(self.physics_hz)
+        if self.evaluate_every < 1:
+            raise ValueError(f"evaluate_every={self.evaluate_every} must be at least 1.")
+        if not 0 <= self.seed < 2**32:
+            raise ValueError(f"seed={self.seed} must be from 0 to 2^32 - 1.")
+
+
+class RunState(NamedTuple):
+    """Everything that one iteration hands to the next."""
+
+    learner: LearnerState
+    env: Any
+    key: jax.Array
+    """Data of the key that the keys of all iterations are folded from."""
+
+
+class IterationMetrics(NamedTuple):
+    """Scalars of one iteration."""
+
+    update: UpdateMetrics
+    nan: jax.Array
+    """Robots whose physics diverged."""
+
+
+def resolve(config: TrainConfig) -> TrainConfig:
+    """The configuration with nothing left to choose: engine, rate and directory."""
+    accelerated = config.physics == "auto" and jax.default_backend() != "cpu"
+    physics = ("mjx" if accelerated else "native") if config.physics == "auto" else config.physics
+    return replace(
+        config,
+        physics=physics,
+        physics_hz=config.physics_hz or TRAINING_HZ[physics],
+        run_dir=config.run_dir or f"runs/{config.speed}-seed{config.seed}",
+    )
+
+
+class Trainer:
+    """The compiled or timed functions that a resolved configuration trains with."""
+
+    def __init__(self, config: TrainConfig, motion: ReferenceMotion) -> None:
+        """Make the environment; on MuJoCo C, `watch` counts the time in `physics` and `learner`."""
+        self.config, self.watch = config, Stopwatch()
+        update = partial(learner.update, config.ppo)
+        model_hz = config.physics_hz or TRAINING_HZ[config.physics]
+        if config.physics == "mjx":
+            physics = MjxPhysics(load_for_mjx(replace(MJX_TRAINING, physics_hz=model_hz)))
+            self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots)
+            self.collect = partial(rollout.collect, self.env.step, config.ppo)
+            # One compiled call an iteration.
+            self.iterate = jax.jit(partial(iterate, self.collect, update))
+        else:
+            physics = _TimedPhysics(NativePhysics(load(ModelConfig(physics_hz=model_hz))), self.watch)
+            self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots)
+            self.collect = partial(rollout.collect_on_host, self.env.step, config.ppo)
+            self.iterate = partial(iterate, self.collect, self.watch.timed("learner", update))
+
+    @property
+    def physics_steps(self) -> int:
+        """Physics steps of all robots in one iteration."""
+        return self.config.ppo.num_samples * steps_per_control(round(1 / self.env.physics.model.opt.timestep))
+
+    def start(self) -> RunState:
+        """An untrained learner that knows no input statistics yet, and robots at the start of an episode."""
+        init_key, reset_key, _, run_key = self._keys()
+        state = learner.init(init_key, self.config.ppo, observation.SIZE, robot.NU)
+        env_state = self.env.reset(reset_key)
+        if self.config.physics == "mjx":
+            env_state = jax.tree.map(jnp.asarray, env_state)
+        return RunState(state, env_state, jax.random.key_data(run_key))
+
+    def gather_statistics(self, run: RunState) -> RunState:
+        """The run with the input statistics of the states that a random policy visits."""
+        _, _, statistics_key, _ = self._keys()
+        policy, samples = run.learner.policy, self.config.ppo.normalizer_samples
+        normalizer = rollout.random_policy_statistics(self.collect, policy, run.env, statistics_key, samples)
+        return run._replace(learner=run.learner._replace(policy=policy._replace(normalizer=normalizer)))
+
+    def _keys(self) -> jax.Array:
+        return jax.random.split(jax.random.key(self.config.seed), 4)
+
+
+def iterate(
+    collect: rollout.Collect, update: Callable[..., tuple[LearnerState, UpdateMetrics]], run: RunState
+) -> tuple[RunState, IterationMetrics]:
+    """Collect experience with the present policy and learn from it."""
+    key = jax.random.fold_in(jax.random.wrap_key_data(run.key), run.learner.iteration)
+    collect_key, update_key = jax.random.split(key)
+    env_state, experience = collect(run.learner.policy, run.env, collect_key)
+    state, metrics = update(run.learner, experience, update_key)
+    return RunState(state, env_state, run.key), IterationMetrics(metrics, experience.metrics["nan"].sum())
+
+
+class _TimedPhysics:
+    """An engine whose time in `advance` is counted under "physics"."""
+
+    def __init__(self, physics: NativePhysics, watch: Stopwatch) -> None:
+        self.model, self.max_delay = physics.model, physics.max_delay
+        self.init, self.bodies = physics.init, physics.bodies
+        self.advance = watch.timed("physics", physics.advance)

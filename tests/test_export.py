@@ -1,0 +1,143 @@
+"""A policy as a file: the same actions on NumPy alone, and nothing damaged or foreign gets in."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cassie_mjx import export, reference, robot
+from cassie_mjx.config import PPOConfig
+from cassie_mjx.envs import observation
+from cassie_mjx.export import ExportConfig, NumpyPolicy, learner_policy, save_policy
+from cassie_mjx.ppo import learner, networks, normalizer
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """1,000 observations on scales from 1e-4 to 10, as those of the robot are, the last 10 far outside."""
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(1000, observation.SIZE)) * np.logspace(-4, 1, observation.SIZE)
+    values[-10:] *= 100
+    return values.astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def policy(seen):
+    config = PPOConfig(actor_output_scale=1.0)
+    drawn = learner.init(jax.random.key(0), config, observation.SIZE, robot.NU).policy
+    biased = jax.tree.map(lambda x: x + 0.1 if x.ndim == 1 else x, drawn.actor)
+    return drawn._replace(actor=biased, normalizer=normalizer.update(drawn.normalizer, jnp.asarray(seen[:-10])))
+
+
+@pytest.fixture
+def path(policy, tmp_path):
+    path = tmp_path / "policy.npz"
+    motion = reference.stretch(reference.resolve("walk"), 2.0)
+    save_policy(path, policy, motion, 2.0, {"return_weighted": 250.0, "commit": "abc"})
+    return path
+
+
+def test_numpy_acts_as_jax_does(policy, path, seen):
+    saved = NumpyPolicy.load(path)
+    expected = np.asarray(networks.mode(policy, seen))
+    assert np.abs(expected).max() > 0.5
+    assert np.abs(saved(seen) - expected).max() < 1e-5
+    assert saved(seen[0]).shape == (robot.NU,)
+    assert np.abs(saved(seen[0].astype(float)) - expected[0]).max() < 1e-5
+
+
+def test_the_learner_gets_the_same_policy_back(policy, path, seen):
+    back = learner_policy(NumpyPolicy.load(path))
+    assert np.abs(np.asarray(networks.mode(back, seen)) - np.asarray(networks.mode(policy, seen))).max() < 1e-5
+    assert jax.tree.structure(back) == jax.tree.structure(policy)
+
+
+def test_the_file_explains_itself(path):
+    saved = NumpyPolicy.load(path)
+    motion = reference.resolve("walk")
+    assert saved.joints == robot.ACTUATORS
+    assert saved.speed == 2.0
+    assert saved.reference_stride_length == pytest.approx(2 * float(motion.stride_length))
+    assert np.array_equal(saved.reference_qpos[:, 3:], motion.qpos[:, 3:])
+    assert saved.p_gain.tolist() == [100, 100, 88, 96, 50] * 2
+    assert saved.observation[0] == "0:2 robot pelvis y, z (world) [m]"
+    assert saved.provenance["commit"] == "abc"
+
+
+def test_it_needs_numpy_alone(path):
+    program = f"""
+import sys, numpy
+from cassie_mjx.export import NumpyPolicy
+print(NumpyPolicy.load({str(path)!r})(numpy.zeros(80)).shape)
+print(sorted({{"jax", "flax", "mujoco", "brax", "orbax"}} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["(10,)", "[]"]
+
+
+def test_no_flipped_bit_changes_a_policy(path, seen):
+    content, saved = path.read_bytes(), NumpyPolicy.load(path)
+    expected, refused = saved(seen), 0
+    for position in np.random.default_rng(1).integers(len(content), size=200):
+        damaged = bytearray(content)
+        damaged[position] ^= 4
+        path.write_bytes(damaged)
+        try:
+            unharmed = NumpyPolicy.load(path)
+        except ValueError:
+            refused += 1
+        else:
+            assert np.array_equal(unharmed(seen), expected)
+    assert refused > 150
+
+
+def test_a_file_cut_short_is_refused(path):
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(ValueError, match=r"policy\.npz is damaged"):
+        NumpyPolicy.load(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"format": "a song"}, "is not a cassie-mjx policy"),
+        ({"version": 99}, "has version 99; this program reads version 1"),
+        ({"mean": np.zeros(79, np.float32)}, r"mean has shape \(79,\) instead of \(80,\)"),
+        ({"weight_1": np.zeros((256, 9), np.float32)}, r"weight_1 has shape \(256, 9\) instead of \(256, 256\)"),
+        ({"joints": ["knee"]}, "10 outputs for 1 joints"),
+        ({"song": 1}, "song missing or too much"),
+    ],
+)
+def test_parts_that_do_not_fit_are_refused(path, change, sentence):
+    with np.load(path) as archive:
+        content = dict(archive)
+    np.savez(path, **(content | change))
+    with pytest.raises(ValueError, match=sentence):
+        NumpyPolicy.load(path)
+
+
+def test_another_observation_is_refused(path):
+    saved = NumpyPolicy.load(path)
+    other = replace(saved, observation=("0:2 robot pelvis x, y (world) [m]", *saved.observation[1:]))
+    with pytest.raises(ValueError, match="observes 0:2 robot pelvis x, y"):
+        learner_policy(other)
+
+
+def test_wrong_inputs_are_refused(path, tmp_path):
+    with pytest.raises(ValueError, match=r"shape \(79,\) was given; this policy takes 80"):
+        NumpyPolicy.load(path)(np.zeros(79))
+    with pytest.raises(ValueError, match="no policy file"):
+        NumpyPolicy.load(tmp_path / "missing.npz")
+
+
+def test_export_copies_a_checked_policy(path, tmp_path, capsys):
+    path.rename(tmp_path / "best.npz")
+    export.main(ExportConfig(run=str(tmp_path), out=str(tmp_path / "mine.npz")))
+    assert "return_weighted 250.0" in capsys.readouterr().out
+    assert NumpyPolicy.load(tmp_path / "mine.npz").provenance == {"return_weighted": 250.0, "commit": "abc"}
+    with pytest.raises(ValueError, match="choose one of best, last"):
+        export.main(ExportConfig(run=str(tmp_path), out=str(tmp_path / "a.npz"), which="first"))

@@ -1,0 +1,324 @@
+"""Training runs: exact resume, signals, run directories, command lines, and what a NaN does."""
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import asdict, replace
+
+import jax
+import numpy as np
+import pytest
+from rich.console import Console
+
+from cassie_mjx import checkpoint, hydra_cli
+from cassie_mjx.config import PPO_PRESETS, PPOConfig, speed_factor
+from cassie_mjx.export import NumpyPolicy
+from cassie_mjx.metrics import JsonLines, Stopwatch, Terminal
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.train import Session, TrainConfig
+from cassie_mjx.training import resolve
+
+TINY = PPOConfig(
+    num_robots=4,
+    num_steps=8,
+    iterations=6,
+    updates_per_iteration=3,
+    minibatch_size=16,
+    hidden_sizes=(16, 16),
+    normalizer_samples=64,
+)
+
+
+def config(folder, **changes):
+    return TrainConfig(ppo=TINY, physics="native", evaluate_every=2, run_dir=str(folder), **changes)
+
+
+def session(folder, **changes):
+    return Session(config(folder, **changes), Console(file=io.StringIO()))
+
+
+def lines(folder):
+    """The metrics of a run without the times, which no two runs share."""
+    values = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    return [{name: value for name, value in line.items() if not name.startswith("time/")} for line in values]
+
+
+def last_checkpoint(folder):
+    return checkpoint.latest(folder / "checkpoints") or pytest.fail("no checkpoint")
+
+
+def last_state(folder):
+    return checkpoint.restore(last_checkpoint(folder)).arrays
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("unbroken")
+    session(folder).train()
+    return folder
+
+
+def at_iteration(monkeypatch, iteration, action):
+    """Run `action` once, as that iteration ends."""
+    advance, calls = Terminal.advance, iter(range(1, 1000))
+
+    def patched(self, *args):
+        advance(self, *args)
+        if next(calls) == iteration:
+            action()
+
+    monkeypatch.setattr(Terminal, "advance", patched)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_run_stopped_by_a_signal_goes_on_as_if_it_had_not_been(unbroken, tmp_path, monkeypatch, number):
+    before = signal.getsignal(number)
+    with monkeypatch.context() as patched:
+        at_iteration(patched, 3, lambda: os.kill(os.getpid(), number))
+        stopped = session(tmp_path)
+        with pytest.raises(SystemExit, match=str(128 + number)):
+            stopped.train()
+    assert signal.getsignal(number) is before
+    assert "Stopped and saved after iteration 3. To go on:" in stopped.terminal._console.file.getvalue()
+    assert last_checkpoint(tmp_path).name == "step_000003"
+
+    session(tmp_path, resume=True).train()
+    ours, theirs = last_state(tmp_path), last_state(unbroken)
+    assert ours.keys() == theirs.keys()
+    assert all(np.array_equal(ours[name], theirs[name]) for name in ours)
+    assert lines(tmp_path) == lines(unbroken)
+    assert best_weights(tmp_path) == best_weights(unbroken)
+
+
+def best_weights(folder):
+    return [array.tolist() for layer in NumpyPolicy.load(folder / "best.npz").weights for array in layer]
+
+
+def test_a_run_that_died_between_checkpoints_goes_on_from_the_last(unbroken, tmp_path, monkeypatch):
+    with monkeypatch.context() as patched:
+        patched.setattr("cassie_mjx.train.save_policy", die_at_the_second_evaluation())
+        with pytest.raises(RuntimeError):
+            session(tmp_path).train()
+    # The second line of metrics was written, the checkpoint that belongs to it was not.
+    assert len(lines(tmp_path)) == 2
+    assert last_checkpoint(tmp_path).name == "step_000002"
+    session(tmp_path, resume=True).train()
+    assert lines(tmp_path) == lines(unbroken)
+
+
+def die_at_the_second_evaluation():
+    from cassie_mjx.train import save_policy
+
+    def save(path, policy, motion, speed, provenance):
+        if provenance["samples"] == 4 * TINY.num_samples:
+            raise RuntimeError
+        save_policy(path, policy, motion, speed, provenance)
+
+    return save
+
+
+def test_a_run_holds_everything(unbroken):
+    held = json.loads((unbroken / "config.json").read_text())
+    assert held["config"]["ppo.num_robots"] == 4
+    assert held["config"]["physics_hz"] == 500
+    assert held["provenance"]["versions"]["jax"] == jax.__version__
+    line = json.loads((unbroken / "metrics.jsonl").read_text().splitlines()[-1])
+    assert line["train/samples"] == 6 * 32
+    assert line["time/train_s"] > 0
+    assert {"eval/return_plain", "eval/return_weighted", "time/physics_steps_per_s"} <= line.keys()
+    shares = [line[f"time/{name}_share"] for name in ("physics", "learner", "eval")]
+    assert min(shares) > 0
+    assert sum(shares) < 1
+    assert (unbroken / "last.npz").exists()
+    assert list((unbroken / "tensorboard").iterdir())
+
+
+def test_the_best_policy_is_that_of_the_best_line(unbroken):
+    best = max(line["eval/return_weighted"] for line in lines(unbroken))
+    assert NumpyPolicy.load(unbroken / "best.npz").provenance["return_weighted"] == best
+
+
+def test_a_finished_run_resumes_to_its_end_at_once(unbroken):
+    before = lines(unbroken)
+    again = session(unbroken, resume=True)
+    again.train()
+    assert "Done: a return of" in again.terminal._console.file.getvalue()
+    assert lines(unbroken) == before
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({}, "holds this run already; to go on with it: python -m cassie_mjx.train .*resume=true"),
+        ({"seed": 1}, "holds another run, with seed=0; choose another run_dir"),
+        ({"ppo": replace(TINY, gamma=0.9), "resume": True}, "holds another run, with ppo.gamma=0.99;"),
+    ],
+)
+def test_a_directory_that_holds_a_run_is_refused_untouched(unbroken, changes, sentence):
+    before = contents(unbroken)
+    with pytest.raises(ValueError, match=sentence):
+        Session(replace(config(unbroken), **changes), Console(file=io.StringIO()))
+    assert contents(unbroken) == before
+
+
+def test_there_must_be_a_run_to_resume(tmp_path):
+    with pytest.raises(ValueError, match="holds no run to resume"):
+        session(tmp_path, resume=True)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_reference_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(ValueError, match=r"missing\.npz"):
+        session(tmp_path / "run", reference="missing.npz")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_nan_in_physics_is_counted_and_survived(tmp_path, monkeypatch):
+    advance, calls = NativePhysics.advance, iter(range(10**6))
+    # 2 rollouts of 8 steps gather the input statistics; then comes training.
+    poisoned = range(16 + 3, 16 + 5)
+
+    def patched(self, *args):
+        state = advance(self, *args)
+        if next(calls) in poisoned:
+            state.qpos[1] = np.nan
+        return state
+
+    monkeypatch.setattr(NativePhysics, "advance", patched)
+    session(tmp_path).train()
+    assert [line["train/nan"] for line in lines(tmp_path)] == [2, 0, 0]
+    assert all(np.isfinite(array).all() for array in last_state(tmp_path).values())
+
+
+def test_auto_takes_mjx_on_an_accelerator_alone(monkeypatch):
+    assert resolve(TrainConfig()).physics == "native"
+    assert resolve(TrainConfig()).run_dir == "runs/1x-seed0"
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert resolve(TrainConfig()).physics == "mjx"
+    assert resolve(TrainConfig()).physics_hz == 1000
+    assert resolve(TrainConfig(physics="native")).physics == "native"
+
+
+@pytest.mark.slow
+def test_an_iteration_on_mjx_is_one_compiled_call(tmp_path):
+    tiny = replace(TINY, num_robots=2, num_steps=4, minibatch_size=8, iterations=2, normalizer_samples=8)
+    running = Session(
+        TrainConfig(ppo=tiny, physics="mjx", physics_hz=500, run_dir=str(tmp_path)), Console(file=io.StringIO())
+    )
+    running.train()
+    assert running.done == 2
+    assert running.trainer.iterate._cache_size() == 1
+
+
+# Command lines
+
+
+def command(monkeypatch, main, *arguments):
+    monkeypatch.setattr(sys, "argv", ["train", *arguments])
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
+    hydra_cli.run(main, TrainConfig, "train", {"ppo": ("parallel", PPO_PRESETS)})
+
+
+def configs(monkeypatch, tmp_path, *arguments):
+    monkeypatch.chdir(tmp_path)
+    seen = []
+    command(monkeypatch, seen.append, *arguments)
+    return seen
+
+
+def test_a_command_line_is_the_configuration(monkeypatch, tmp_path):
+    assert configs(monkeypatch, tmp_path) == [TrainConfig()]
+    arguments = ["speed=1.5x", "ppo=paper", "ppo.clip_epsilon=0.1", "walk.early_end_reward=null", "seed=3"]
+    (seen,) = configs(monkeypatch, tmp_path, *arguments)
+    assert seen.ppo == replace(PPO_PRESETS["paper"], clip_epsilon=0.1)
+    assert (seen.speed, seen.seed, seen.walk.early_end_reward) == ("1.5x", 3, None)
+    assert not list(tmp_path.iterdir()), "Hydra leaves nothing behind"
+
+
+def test_a_sweep_runs_every_combination(monkeypatch, tmp_path):
+    seen = configs(monkeypatch, tmp_path, "-m", "seed=0,1", "speed=1x,2x")
+    assert [(each.seed, each.speed) for each in seen] == [(0, "1x"), (0, "2x"), (1, "1x"), (1, "2x")]
+
+
+@pytest.mark.parametrize(
+    ("argument", "sentence"),
+    [
+        ("sped=2x", "'sped' is not a key; the keys are speed, physics, physics_hz, seed,"),
+        ("ppo.clip=1", "'ppo.clip' is not a key; the keys are num_robots, num_steps,"),
+        ("+song=1", "A key with + in front must exist as well"),
+        ("ppo=huge", "ppo=huge is not known; choose one of massive, paper, parallel."),
+        ("seed=one", "seed: Value 'one' of type 'str' could not be converted to Integer."),
+        ("speed", "'speed' is not of the form key=value."),
+        ("seed=0,1", "Ambiguous value for argument 'seed=0,1'"),
+        ("speed=9x", "speed=9x is not a speed; give a factor from 0x to 4x, such as 2x or 1.5x."),
+        ("speed=fast", "speed=fast is not a speed"),
+        ("physics=bullet", "physics=bullet is not known; choose one of auto, native, mjx."),
+        ("physics_hz=300", "physics_hz=300 does not divide"),
+        ("evaluate_every=0", "evaluate_every=0 must be at least 1."),
+        ("ppo.clip_epsilon=-1", "clip_epsilon is -1.0; it must be greater than 0."),
+        ("walk.reward=song", "reward='song' is not known; choose one of plain, weighted."),
+    ],
+)
+def test_a_wrong_command_line_is_refused_in_one_sentence(monkeypatch, capsys, argument, sentence):
+    with pytest.raises(SystemExit, match="2"):
+        command(monkeypatch, pytest.fail, argument)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {sentence}")
+
+
+def test_what_fails_in_a_run_ends_it_in_one_sentence(monkeypatch, capsys):
+    def full(_):
+        raise OSError("The checkpoint could not be written.")
+
+    with pytest.raises(SystemExit, match="2"):
+        command(monkeypatch, full)
+    assert capsys.readouterr().err == "error: The checkpoint could not be written.\n"
+
+
+def test_the_command_itself_ends_with_a_sentence_and_a_status(tmp_path):
+    arguments = [sys.executable, "-m", "cassie_mjx.train", "speed=9x"]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == "error: speed=9x is not a speed; give a factor from 0x to 4x, such as 2x or 1.5x.\n"
+
+
+def test_speeds():
+    assert [speed_factor(text) for text in ("0x", "1.5x", "2", "4x")] == [0, 1.5, 2, 4]
+    for text in ("-1x", "4.1x", "nan", "x", ""):
+        with pytest.raises(ValueError, match="is not a speed"):
+            speed_factor(text)
+
+
+# Sinks
+
+
+def test_json_lines_forget_a_lost_future(tmp_path):
+    path = tmp_path / "metrics.jsonl"
+    path.write_text('{"train/samples": 10}\n{"train/samples": 20}\n{"train/samples": 30}\n{"train/sam')
+    JsonLines(path, samples=20).write({"train/samples": 25, "x": 0.5})
+    assert [json.loads(line) for line in path.read_text().splitlines()] == [
+        {"train/samples": 10},
+        {"train/samples": 20},
+        {"train/samples": 25, "x": 0.5},
+    ]
+
+
+def test_a_stopwatch_counts_lap_by_lap():
+    watch = Stopwatch()
+    double = watch.timed("double", lambda x: 2 * x)
+    assert double(3) == 6
+    assert watch.lap()["double"] > 0
+    assert watch.lap() == {}
+
+
+def test_every_choice_of_the_configuration_is_recorded(unbroken):
+    held = json.loads((unbroken / "config.json").read_text())["config"]
+    top = set(asdict(TrainConfig())) - {"resume", "run_dir", "walk", "ppo"}
+    assert top | {f"ppo.{name}" for name in asdict(TINY)} <= held.keys()
