@@ -8,7 +8,7 @@ import platform
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -36,23 +36,28 @@ def parse(config_class: type[C], arguments: Sequence[str]) -> C:
             raise ValueError(f"{key!r} is not a key; the keys are {valid}.")
     try:
         merged = OmegaConf.merge(OmegaConf.structured(config_class), OmegaConf.from_dotlist(list(arguments)))
-        return OmegaConf.to_object(merged)  # type: ignore[return-value]
+        config: Any = OmegaConf.to_object(merged)
     except OmegaConfBaseException as error:
         raise ValueError(f"{' '.join(arguments)}: {str(error).splitlines()[0]}.") from error
+    # OmegaConf reads a tuple as a list.
+    sequences = {f.name: tuple(v) for f in fields(config) if isinstance(v := getattr(config, f.name), list)}
+    return replace(config, **sequences)
 
 
 def run(main: Callable[[C], None], config_class: type[C]) -> None:
-    """Run a command: parse `sys.argv`, call `main`; a ValueError or OSError ends it with one sentence and status 2.
-
-    Compiled programs are kept in JAX's persistent cache, unless the environment names another folder for it.
-    """
-    if not jax.config.jax_compilation_cache_dir:
-        jax.config.update("jax_compilation_cache_dir", str(Path.home() / ".cache" / "cassie-mjx"))
+    """Run a command: parse `sys.argv`, call `main`; a ValueError or OSError ends it with one sentence and status 2."""
+    keep_compiled_programs()
     try:
         main(parse(config_class, sys.argv[1:]))
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
+
+
+def keep_compiled_programs() -> None:
+    """Keep what XLA compiles in a folder of the user's, unless the environment names another one."""
+    if not jax.config.jax_compilation_cache_dir:
+        jax.config.update("jax_compilation_cache_dir", str(Path.home() / ".cache" / "cassie-mjx"))
 
 
 def check_writable(out: str) -> Path:

@@ -5,41 +5,33 @@ at random: the same command gives the same figures.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
-import jax
 import numpy as np
 from rich.console import Console
 from rich.status import Status
 from rich.table import Table
 
-from cassie_mjx import cli, controller, robot
-from cassie_mjx.controller import CONTROLLERS, ControllerState
-from cassie_mjx.model import ModelConfig, load, standing
+from cassie_mjx import cli, subjects
+from cassie_mjx.model import ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Array, Disturbance, Physics, PhysicsState
 from cassie_mjx.sweeps import (
     AFTER_PUSH_S,
     PUSH_S,
     EpisodeResult,
     Key,
+    Measured,
     Subject,
     Trial,
-    Walker,
     Watch,
-    carried,
     conduct,
-    fallen,
     fly,
 )
 
-CONTROLLER_PREFIX = "controller:"
-POLICIES = tuple(CONTROLLER_PREFIX + name for name in CONTROLLERS)
 SUITES = ("walk", "push", "terrain")
 
-WARM_UP_STRIDES = 9
 WALK_S, LONG_WALK_S = 10.0, 60.0
 WALK_PHASES = np.arange(10) / 10
 LIMIT_PHASES = np.arange(8) / 8
@@ -54,7 +46,7 @@ class EvaluateConfig:
     """What to measure."""
 
     policy: str = "controller:compliant"
-    """What walks: "controller:stiff" or "controller:compliant"."""
+    """What walks: "controller:stiff", "controller:compliant", a policy's .npz file, or a run's directory (its best)."""
     suite: str = "all"
     """"walk", "push", "terrain", or "all" of them."""
     long: bool = False
@@ -65,55 +57,11 @@ class EvaluateConfig:
     """Result file."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError for a policy, suite or engine that is not known."""
-        for name, valid in (("policy", POLICIES), ("suite", (*SUITES, "all"))):
+        """Raise ValueError for a suite or engine that is not known."""
+        for name, valid in (("suite", (*SUITES, "all")), ("physics", ("native",))):
             value = getattr(self, name)
             if value not in valid:
                 raise ValueError(f"{name}={value!r} is not known; choose one of {', '.join(valid)}.")
-        if self.physics != "native":
-            raise ValueError(f"physics={self.physics!r} does not judge controllers; choose native, MuJoCo C at 2 kHz.")
-
-
-class ControllerSubject:
-    """A heuristic walker as a `Subject`; phase 0 of its stride is where the left leg takes over."""
-
-    def __init__(self, name: str) -> None:
-        """Take the controller `name` of `CONTROLLERS`."""
-        self.name = CONTROLLER_PREFIX + name
-        self.config = CONTROLLERS[name]
-        self.period_s = self.config.period
-        self._step = jax.jit(controller.step)
-
-    def start(self, physics: Physics, phases: np.ndarray) -> Walker:
-        """See `Subject.start`: one robot walks nine strides from standing, and is copied along the tenth."""
-        state = physics.init(standing(physics.model)[None], np.zeros((1, robot.NV)))
-        walker = Walker(state, controller.init(self.config, state.qpos, state.qvel, physics.bodies(state)))
-        step_calls = round(self.config.step_time / self.period_s)
-        # The walk begins half a step before the left leg takes over.
-        first = step_calls // 2 + 2 * step_calls * WARM_UP_STRIDES
-        calls = first + np.round(2 * step_calls * phases).astype(int)
-        act_steps = round(self.period_s / physics.model.opt.timestep)
-        taken = {}
-        for call in range(calls.max() + 1):
-            if call in calls:
-                taken[call] = walker
-            target, memory = self.act(physics, walker.physics, walker.memory)
-            moved = physics.advance(walker.physics, np.asarray(target, float), Disturbance.none(1), act_steps)
-            walker = Walker(moved, memory)
-        walkers = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(taken[call] for call in calls.tolist()))
-        if fallen(walkers.physics.qpos, np.zeros(len(phases))).any():
-            raise ValueError(f"{self.name} falls before it walks steadily, so there is nothing to measure.")
-        back = -walkers.physics.qpos[:, :3] * np.array([1.0, 0.0, 0.0])
-        return carried(self, walkers, back)
-
-    def act(self, physics: Physics, seen: PhysicsState, memory: ControllerState) -> tuple[Array, ControllerState]:
-        """See `Subject.act`."""
-        return self._step(self.config, memory, seen.qpos, seen.qvel, physics.bodies(seen), self.period_s)
-
-    def carried(self, memory: ControllerState, offset: np.ndarray) -> ControllerState:
-        """See `Subject.carried`."""
-        along = offset * np.array([1.0, 1.0, 0.0])
-        return replace(memory, liftoff_w=memory.liftoff_w + offset, line_w=memory.line_w + along)
 
 
 class LimitSearch:
@@ -160,21 +108,11 @@ class LimitSearch:
             self.limit[failed] = np.minimum(self.limit[failed], level)
 
 
-class Measured(NamedTuple):
-    """One figure of a subject."""
-
-    quantity: str
-    value: float
-    unit: str
-    n: int
-    """Trials behind the figure or, for a limit, phases of the stride."""
-
-
 def walk(subject: Subject, long: bool, watch: Watch) -> list[Measured]:
     """Undisturbed walking on the flat from ten phases of the stride."""
     physics = NativePhysics(load(ModelConfig()))
     starts = subject.start(physics, WALK_PHASES)
-    figures = []
+    figures = subject.returns()
     for seconds, suffix in ((WALK_S, ""), (LONG_WALK_S, "_60s"))[: 1 + long]:
         trials = [Trial(start, seconds) for start in range(len(WALK_PHASES))]
         figures += walking_figures(fly(subject, physics, starts, trials, watch), suffix)
@@ -236,7 +174,7 @@ def main(config: EvaluateConfig) -> None:
     """Measure, write the result and show it."""
     out = cli.check_writable(config.out)
     console = Console(stderr=True)
-    subject = ControllerSubject(config.policy.removeprefix(CONTROLLER_PREFIX))
+    subject = subjects.resolve(config.policy)
     measure: dict[str, Callable[[Watch], list[Measured]]] = {
         "walk": lambda watch: walk(subject, config.long, watch),
         "push": lambda watch: push(subject, watch),

@@ -4,15 +4,15 @@ import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import FrozenInstanceError
-from pathlib import Path
 from typing import Any, TypeVar
 
 import hydra
-import jax
 from hydra.core.config_store import ConfigStore
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+
+from cassie_mjx.cli import keep_compiled_programs
 
 C = TypeVar("C")
 
@@ -38,8 +38,7 @@ def run(
       name: of the configuration, as `--help` shows it.
       groups: field name to (default choice, choices): presets of a field that is a dataclass itself.
     """
-    if not jax.config.jax_compilation_cache_dir:
-        jax.config.update("jax_compilation_cache_dir", str(Path.home() / ".cache" / "cassie-mjx"))
+    keep_compiled_programs()
     _register(config_class, name, groups)
     # Hydra then raises what it would print in several lines.
     os.environ["HYDRA_FULL_ERROR"] = "1"

@@ -28,6 +28,16 @@ Memory: TypeAlias = Any
 """What a subject carries from act to act: a pytree whose leaves have the robots' axis B first."""
 
 
+class Measured(NamedTuple):
+    """One figure of a subject."""
+
+    quantity: str
+    value: float
+    unit: str
+    n: int
+    """Trials behind the figure or, for a limit, phases of the stride."""
+
+
 class Walker(NamedTuple):
     """B robots in the middle of a walk."""
 
@@ -44,6 +54,10 @@ class Subject(Protocol):
 
     def start(self, physics: Physics, phases: np.ndarray) -> Walker:
         """Robots in steady walking along +x, with the pelvis at x = 0, at `phases` [B] of the stride, 0 to 1."""
+        ...
+
+    def returns(self) -> list[Measured]:
+        """Returns of undisturbed walking, for a subject that imitates a reference motion."""
         ...
 
     def act(self, physics: Physics, seen: PhysicsState, memory: Memory) -> tuple[Array, Memory]:

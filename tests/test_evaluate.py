@@ -5,14 +5,21 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cassie_mjx import cli, evaluate, robot
-from cassie_mjx.evaluate import ControllerSubject, EvaluateConfig, LimitSearch, Measured
+from cassie_mjx import cli, evaluate, reference, robot, subjects
+from cassie_mjx.config import PPO_PRESETS
+from cassie_mjx.envs import observation
+from cassie_mjx.evaluate import EvaluateConfig, LimitSearch
+from cassie_mjx.export import save_policy
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance, PhysicsState
-from cassie_mjx.sweeps import Trial, Walker, carried, conduct, disturbances, fallen, fly, motor_power, placed
+from cassie_mjx.ppo import learner
+from cassie_mjx.subjects import ControllerSubject
+from cassie_mjx.sweeps import Measured, Trial, Walker, carried, conduct, disturbances, fallen, fly, motor_power, placed
 
 CONTROL_STEPS_OF_10_S = 313
 
@@ -58,6 +65,9 @@ class Still:
         zero = np.zeros((robots, robot.NV))
         state = PhysicsState(qpos, zero, zero, np.zeros(robots, np.int32), np.zeros((robots, 0, 67)))
         return Walker(state, np.zeros(robots))
+
+    def returns(self):
+        return []
 
     def act(self, physics, seen, memory):
         return np.zeros((len(memory), robot.NU)), memory + 1
@@ -289,14 +299,35 @@ def test_walking_figures_take_the_worst_survival():
     ("argument", "sentence"),
     [
         ("suite=jump", "suite='jump' is not known; choose one of walk, push, terrain, all"),
-        ("policy=stiff", "policy='stiff' is not known; choose one of controller:stiff, controller:compliant"),
-        ("physics=mjx", "physics='mjx' does not judge controllers; choose native, MuJoCo C at 2 kHz"),
+        ("physics=mjx", "physics='mjx' is not known; choose one of native"),
         ("speed=2", "'speed' is not a key; the keys are policy, suite, long, physics, out"),
     ],
 )
 def test_bad_input_gets_one_sentence(argument, sentence):
     with pytest.raises(ValueError, match=sentence):
         cli.parse(EvaluateConfig, [argument])
+
+
+@pytest.mark.parametrize("name", ["stiff", "controller:soft", "runs/none"])
+def test_an_unknown_policy_gets_one_sentence(name):
+    with pytest.raises(ValueError, match=f"policy={name} is none of controller:stiff, controller:compliant, nor"):
+        subjects.resolve(name)
+
+
+def test_a_policy_walks_as_its_targets_say(tmp_path, model):
+    """A zero residual holds the next sample of the reference: the PD targets of `act`, step after step."""
+    motion = reference.resolve("walk")
+    state = learner.init(jax.random.key(0), PPO_PRESETS["parallel"], observation.SIZE, robot.NU)
+    zero = state.policy._replace(actor=jax.tree.map(jnp.zeros_like, state.policy.actor))
+    save_policy(tmp_path / "zero.npz", zero, motion, 1.0, {})
+    subject = subjects.resolve(str(tmp_path / "zero.npz"))
+    physics = NativePhysics(model)
+    walker = Walker(physics.init(np.asarray(motion.qpos[[3, 21]]), np.asarray(motion.qvel[[3, 21]])), np.array([3, 21]))
+    target, memory = subject.act(physics, walker.physics, walker.memory)
+    np.testing.assert_allclose(target, np.asarray(motion.qpos)[[4, 0]][:, robot.ACTIVE_QPOS], atol=1e-6)
+    np.testing.assert_array_equal(memory, [4, 0])
+    with pytest.raises(ValueError, match="falls before it walks steadily"):
+        subject.start(physics, np.zeros(1))
 
 
 def test_a_file_that_cannot_be_written_is_refused_before_the_work(tmp_path):

@@ -133,9 +133,7 @@ def test_sensors_and_sites_are_the_figures(scene, figures):
     found = [(scene.sensor(i).type[0], scene.sensor(i).noise[0], scene.sensor(i).user[0]) for i in range(scene.nsensor)]
     wanted = [
         (
-            getattr(
-                mujoco.mjtSensor, {"magnetometer": "mjSENS_MAGNETOMETER"}.get(f["kind"], "mjSENS_" + f["kind"].upper())
-            ),
+            getattr(mujoco.mjtSensor, "mjSENS_" + f["kind"].upper()),
             f.get("noise_std", 0.0),
             f.get("encoder_bits", 0),
         )

@@ -91,13 +91,18 @@ class WalkEnv:
           key: for the phases of new episodes.
         """
         target = self._target(state.clock, action)
-        if isinstance(state.physics.qpos, np.ndarray):
+        on_host = isinstance(state.physics.qpos, np.ndarray)
+        if on_host:
             target = np.asarray(target, float)
         physics = self.physics.advance(state.physics, target, state.disturbance, self._substeps)
         sensed = delayed(physics, state.disturbance)
         judgement = self._judge(state.clock, physics.qpos, physics.qvel, *sensed, state.disturbance.terrain, key)
         ended = judgement.rest["terminated"] | judgement.rest["truncated"]
-        physics = merge(ended, self.physics.init(judgement.fresh_qpos, judgement.fresh_qvel), physics)
+        physics = merge(
+            np.asarray(ended) if on_host else ended,
+            self.physics.init(judgement.fresh_qpos, judgement.fresh_qvel),
+            physics,
+        )
         return WalkState(physics=physics, disturbance=state.disturbance, **judgement.rest)
 
     def _pd_target(self, clock: Clock, action: jax.Array) -> jax.Array:
