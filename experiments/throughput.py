@@ -137,6 +137,8 @@ def row(engine: str, model: ModelConfig, robots: int, times: list[float], physic
 def main(config: ThroughputConfig) -> None:
     """Time both engines and write the result."""
     out = cli.check_writable(config.out)
+    # Each program is to be compiled, not loaded, so that its compile time means what it says.
+    jax.config.update("jax_enable_compilation_cache", False)
     threads = os.cpu_count() or 1
     console = Console(stderr=True)
     rows = []
