@@ -64,7 +64,7 @@ def check_writable(out: str) -> Path:
     """The path `out`, or ValueError if no file can be written there. For the door, before hours of work."""
     path = Path(out)
     if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise ValueError(f"out={out} cannot be written; name a file in an existing folder that you may write to.")
+        raise ValueError(f"{out} cannot be written; name a file in an existing folder that you may write to.")
     return path
 
 
@@ -93,6 +93,9 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 def _commit() -> str:
     git = ["git", "-C", str(Path(__file__).parent)]
     try:
+        top = subprocess.run([*git, "rev-parse", "--show-toplevel"], capture_output=True, text=True, check=True)
+        if Path(top.stdout.strip()) != Path(__file__).parents[1]:
+            return "not a checkout"
         commit = subprocess.run([*git, "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=True)
         changes = subprocess.run([*git, "status", "--porcelain", "-uno"], capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):

@@ -141,7 +141,7 @@ COMPLIANT = ControllerConfig(
     load=0.02,
     hold=0.257,
 )
-"""The published PD gains on pelvis, swing leg and knee; nearer to the paper's reference controller."""
+"""The published PD gains on pelvis, swing leg and knee, but for 8.8 instead of 8 N·m·s/rad on the pelvis' pitch."""
 
 CONTROLLERS = {"stiff": STIFF, "compliant": COMPLIANT}
 

@@ -80,8 +80,6 @@ def body_index(*names: str) -> np.ndarray:
 ACTIVE_QPOS = qpos_index(*ACTUATORS)
 ACTIVE_QVEL = qvel_index(*ACTUATORS)
 SPRUNG_NAMES = tuple(f"{side}-{name}" for side in SIDES for name in SPRUNG)
-SPRUNG_QPOS = qpos_index(*SPRUNG_NAMES)
-SPRUNG_QVEL = qvel_index(*SPRUNG_NAMES)
 SHIN_QPOS = qpos_index("left-shin", "right-shin")
 # A robot whose pelvis is lower or higher than this over the ground below it has fallen, m (Xie et al. 2018).
 FALL_LOW_M, FALL_HIGH_M = 0.6, 1.2

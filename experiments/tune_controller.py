@@ -55,7 +55,7 @@ class TuneConfig:
     """One search."""
 
     preset: str = "compliant"
-    """"stiff" or "compliant". The gains of the compliant one are the published ones, and are kept."""
+    """"stiff" or "compliant". The compliant one keeps its gains, which are the published ones."""
     generations: int = 20
     """Generations of CMA-ES."""
     population: int = 12

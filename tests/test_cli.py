@@ -39,7 +39,7 @@ def test_a_command_ends_with_one_sentence_and_a_status(tmp_path):
     command = [sys.executable, "-m", "experiments.throughput", f"out={tmp_path}/missing/a.json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr.splitlines()[-1].startswith("error: out=")
+    assert done.stderr.splitlines()[-1].startswith(f"error: {tmp_path}/missing/a.json cannot be written")
     assert "Traceback" not in done.stderr
 
 

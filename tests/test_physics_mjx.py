@@ -170,7 +170,6 @@ from cassie_mjx import robot
 from cassie_mjx.model import MJX_TRAINING, load_for_mjx, standing
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.types import Disturbance
-from experiments.agreement import loop_consistent
 physics = MjxPhysics(load_for_mjx(MJX_TRAINING))
 qpos = np.tile(standing(physics.model), ({batch}, 1)).astype(np.float32)
 state = physics.init(qpos, np.zeros(({batch}, 32), np.float32))

@@ -200,6 +200,8 @@ def test_bad_input_gets_one_sentence(model, standing_qpos):
     late = replace(Disturbance.none(2), delay=steps(0, 4))
     with pytest.raises(ValueError, match="delay of 4 physics steps .* 0 to 0; make it with max_delay=4"):
         physics.advance(state, targets, late, 1)
+    with pytest.raises(ValueError, match="delay of -2 physics steps looks into the future"):
+        physics.advance(state, targets, replace(late, delay=steps(0, -2)), 1)
     hilly = replace(Disturbance.none(2), terrain=np.array([0.0, 0.1]))
     with pytest.raises(ValueError, match="terrain of 0.1 m was asked of a flat scene"):
         physics.advance(state, targets, hilly, 1)

@@ -184,7 +184,7 @@ def test_the_reference_angles_alone_fall(model, motion):
         up &= (state.qpos[:, Z] > 0.6) & (state.qpos[:, Z] < 1.2)
         seconds += 0.032 * up
     assert not up.any()
-    # The prototype fell after about 0.5 s; a robot in the air would be down after sqrt(2 * 0.37 m / g) = 0.27 s.
+    # A robot in free fall would be down after sqrt(2 * 0.37 m / g) = 0.27 s.
     assert 0.3 < seconds.min() <= seconds.max() < 1.0
 
 

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 
 import mujoco
@@ -71,13 +72,14 @@ class NativePhysics:
                 pool.push[:] = _force(state.step + start, disturbance)
                 pool.batch.step(nstep=stop - start)
             return pool.state(state.step + n_steps, state.history)
+        state = replace(state, history=state.history.copy())
         for _ in range(n_steps):
             qpos, qvel = delayed(state, disturbance)
             q, qdot = qpos[:, robot.ACTIVE_QPOS], qvel[:, robot.ACTIVE_QVEL]
             pool.ctrl[:] = robot.pd_torque(target, q, qdot) / robot.GEAR
             pool.push[:] = _force(state.step, disturbance)
             pool.batch.step()
-            state = pool.state(state.step + 1, state.history.copy())
+            state = pool.state(state.step + 1, state.history)
             rows = np.arange(len(state.step)), state.step % (self.max_delay + 1)
             state.history[rows] = np.concatenate([state.qpos, state.qvel], axis=1)
         return state
@@ -96,16 +98,18 @@ class NativePhysics:
         pool = self._batches[batch_size]
         if self._terrain and not np.array_equal(pool.heights, disturbance.terrain):
             pool.heights = np.array(disturbance.terrain)
-            pool.batch.set_models([self._model_of_height(h) for h in pool.heights.tolist()])
+            heights = pool.heights.tolist()
+            self._models = {height: self._model_of_height(height) for height in set(heights)}
+            pool.batch.set_models([self._models[height] for height in heights])
         pool.qpos[:], pool.qvel[:], pool.warmstart[:] = state.qpos, state.qvel, state.qacc_warmstart
         return pool
 
     def _model_of_height(self, height: float) -> mujoco.MjModel:
-        if height not in self._models:
-            model = copy.copy(self._driven)
-            set_terrain(model, height)
-            self._models[height] = model
-        return self._models[height]
+        if height in self._models:
+            return self._models[height]
+        model = copy.copy(self._driven)
+        set_terrain(model, height)
+        return model
 
 
 class _Pool:

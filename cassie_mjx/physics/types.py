@@ -157,8 +157,10 @@ def check_start(qpos: Array, qvel: Array) -> None:
 
 def check_delay(disturbance: Disturbance, max_delay: int) -> None:
     """Raise ValueError for a delay outside 0..max_delay physics steps."""
-    worst = np.max(np.abs(np.asarray(disturbance.delay)), initial=0)
-    if np.min(disturbance.delay, initial=0) < 0 or worst > max_delay:
+    shortest, worst = np.min(disturbance.delay, initial=0), np.max(disturbance.delay, initial=0)
+    if shortest < 0:
+        raise ValueError(f"A delay of {shortest} physics steps looks into the future; it must be at least 0.")
+    if worst > max_delay:
         raise ValueError(
             f"A delay of {worst} physics steps was asked of an engine made for 0 to {max_delay}; "
             f"make it with max_delay={worst}."
