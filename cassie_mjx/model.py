@@ -55,7 +55,7 @@ def steps_per_control(physics_hz: float) -> int:
 
 
 MJX_TRAINING = ModelConfig(physics_hz=1000, contacts="walking", iterations=4, ls_iterations=6)
-"""What MJX trains on. By `experiments.solver` one iteration diverges, and from two on the loops hold as in MuJoCo C. The
+"""What MJX trains on. By `experiments.solver` one iteration diverges; from two on the loops hold as in MuJoCo C. The
 solver stops once it has converged, so the bounds of 4 and 6 leave a margin at hardly a cost."""
 
 
