@@ -38,6 +38,26 @@ def resolve(name: str) -> Subject:
     return PolicySubject(name, NumpyPolicy.load(path))
 
 
+def copied_along(subject: Subject, physics: Physics, walker: Walker, calls: np.ndarray) -> Walker:
+    """One robot walks on, and a copy of it is taken before each of the acts `calls` [B], counted from 0, back at x = 0.
+
+    Raises:
+      ValueError: it falls before it walks steadily.
+    """
+    act_steps = round(subject.period_s / physics.model.opt.timestep)
+    taken = {}
+    for call in range(calls.max() + 1):
+        if call in calls:
+            taken[call] = walker
+        target, memory = subject.act(physics, walker.physics, walker.memory)
+        moved = physics.advance(walker.physics, np.asarray(target, float), Disturbance.none(1), act_steps)
+        walker = Walker(moved, memory)
+    walkers = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(taken[call] for call in calls.tolist()))
+    if fallen(walkers.physics.qpos, np.zeros(len(calls))).any():
+        raise ValueError(f"{subject.name} falls before it walks steadily, so there is nothing to measure.")
+    return carried(subject, walkers, -walkers.physics.qpos[:, :3] * np.array([1.0, 0.0, 0.0]))
+
+
 class ControllerSubject:
     """A heuristic walker as a `Subject`; phase 0 of its stride is where the left leg takes over."""
 
@@ -56,19 +76,7 @@ class ControllerSubject:
         # The walk begins half a step before the left leg takes over.
         first = step_calls // 2 + 2 * step_calls * WARM_UP_STRIDES
         calls = first + np.round(2 * step_calls * phases).astype(int)
-        act_steps = round(self.period_s / physics.model.opt.timestep)
-        taken = {}
-        for call in range(calls.max() + 1):
-            if call in calls:
-                taken[call] = walker
-            target, memory = self.act(physics, walker.physics, walker.memory)
-            moved = physics.advance(walker.physics, np.asarray(target, float), Disturbance.none(1), act_steps)
-            walker = Walker(moved, memory)
-        walkers = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(taken[call] for call in calls.tolist()))
-        if fallen(walkers.physics.qpos, np.zeros(len(phases))).any():
-            raise ValueError(f"{self.name} falls before it walks steadily, so there is nothing to measure.")
-        back = -walkers.physics.qpos[:, :3] * np.array([1.0, 0.0, 0.0])
-        return carried(self, walkers, back)
+        return copied_along(self, physics, walker, calls)
 
     def returns(self) -> list[Measured]:
         """See `Subject.returns`: a controller imitates nothing, so it has none."""
@@ -107,17 +115,7 @@ class PolicySubject:
         qpos, qvel = sample(self.motion, np.zeros(1, int), np.zeros(1, int))
         walker = Walker(physics.init(np.asarray(qpos, float), np.asarray(qvel, float)), np.zeros(1, np.int32))
         steps = samples * WARM_UP_STRIDES + np.round(samples * phases).astype(int)
-        control_steps = round(CONTROL_PERIOD_S / physics.model.opt.timestep)
-        taken = {}
-        for step in range(steps.max() + 1):
-            taken[step] = walker
-            target, memory = self.act(physics, walker.physics, walker.memory)
-            moved = physics.advance(walker.physics, np.asarray(target, float), Disturbance.none(1), control_steps)
-            walker = Walker(moved, memory)
-        walkers = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(taken[step] for step in steps.tolist()))
-        if fallen(walkers.physics.qpos, np.zeros(len(phases))).any():
-            raise ValueError(f"{self.name} falls before it walks steadily, so there is nothing to measure.")
-        return carried(self, walkers, -walkers.physics.qpos[:, :3] * np.array([1.0, 0.0, 0.0]))
+        return copied_along(self, physics, walker, steps)
 
     def returns(self) -> list[Measured]:
         """See `Subject.returns`."""
