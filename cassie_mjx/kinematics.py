@@ -27,7 +27,7 @@ LEVEL_FOOT = np.pi / 2 - np.arctan2(*(robot.TOE - robot.HEEL)[[1, 0]])
 
 # The sole is the lower side of the foot's capsule; its midpoint is below the midpoint of the capsule's axis.
 SOLE_AXIS = ((robot.TOE + robot.HEEL) / 2).astype(np.float32)
-SOLE_BELOW_AXIS = np.array([0.0, 0.0, 0.02], np.float32)
+SOLE_BELOW_AXIS = np.array([0.0, 0.0, robot.FOOT_RADIUS_M], np.float32)
 _LEVEL_AXIS = complex(*SOLE_AXIS[:2]) * np.exp(1j * LEVEL_FOOT)
 ANKLE_HEIGHT = _LEVEL_AXIS.real + SOLE_BELOW_AXIS[2]
 ANKLE_FROM_SOLE = np.array([-_LEVEL_AXIS.imag, 0.0, ANKLE_HEIGHT], np.float32)

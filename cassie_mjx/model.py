@@ -155,9 +155,6 @@ def close_loops(model: mujoco.MjModel, qpos: np.ndarray, tolerance_m: float = 1e
     Raises:
       ValueError: no nearby configuration closes the loops.
     """
-    free = robot.qvel_index(
-        *(f"{side}-{name}" for side in robot.SIDES for name in ("achilles-rod", "tarsus", "foot-crank", "plantar-rod"))
-    )
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     residual = np.full(1, np.inf)
@@ -166,9 +163,9 @@ def close_loops(model: mujoco.MjModel, qpos: np.ndarray, tolerance_m: float = 1e
         residual = data.efc_pos[: data.ne].copy()
         if np.abs(residual).max() < tolerance_m:
             return data.qpos.copy()
-        jacobian = data.efc_J.reshape(-1, model.nv)[: data.ne, free]
+        jacobian = data.efc_J.reshape(-1, model.nv)[: data.ne, robot.LOOP_QVEL]
         move = np.zeros(model.nv)
-        move[free] = -np.linalg.lstsq(jacobian, residual, rcond=1e-9)[0]
+        move[robot.LOOP_QVEL] = -np.linalg.lstsq(jacobian, residual, rcond=1e-9)[0]
         mujoco.mj_integratePos(model, data.qpos, move, 1.0)
     raise ValueError(
         f"The loops stay open by {np.abs(residual).max():.2g} m: these joint angles do not fit the mechanism."

@@ -35,9 +35,6 @@ _QUATERNIONS = np.stack([robot.qpos_index(name)[-4:] for name in _QUATERNION_NAM
 # The quaternion that a coordinate belongs to; the number after the last for the coordinates of none.
 _QUATERNION_OF = np.full(robot.NQ, len(_QUATERNIONS))
 _QUATERNION_OF[_QUATERNIONS] = np.arange(len(_QUATERNIONS))[:, None]
-_LOOP_QVEL = robot.qvel_index(
-    *(f"{side}-{name}" for side in robot.SIDES for name in ("achilles-rod", "tarsus", "foot-crank", "plantar-rod"))
-)
 
 # The public trajectory file: time, qpos, qvel, then motor torques, positions and velocities, 10 each.
 _COLUMNS = 98
@@ -327,7 +324,7 @@ def _loop_velocity(model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray) ->
     mujoco.mj_fwdPosition(model, data)
     jacobian = data.efc_J.reshape(-1, model.nv)[: data.ne]
     fitted = qvel.copy()
-    fitted[_LOOP_QVEL] -= np.linalg.lstsq(jacobian[:, _LOOP_QVEL], jacobian @ qvel, rcond=1e-9)[0]
+    fitted[robot.LOOP_QVEL] -= np.linalg.lstsq(jacobian[:, robot.LOOP_QVEL], jacobian @ qvel, rcond=1e-9)[0]
     return fitted
 
 

@@ -90,9 +90,15 @@ PELVIS_QUAT_VECTOR = qpos_index("pelvis")[4:7]
 PELVIS_BODY = int(body_index("cassie-pelvis")[0])
 FOOT_BODIES = body_index("left-foot", "right-foot")
 
-# Ends of the foot's contact capsule in the foot body's frame, m; its radius is 0.02 m.
+# Joints that the closed loops determine, once hips, knees, feet and springs are given.
+LOOP_QVEL = qvel_index(
+    *(f"{side}-{name}" for side in SIDES for name in ("achilles-rod", "tarsus", "foot-crank", "plantar-rod"))
+)
+
+# Ends of the foot's contact capsule in the foot body's frame, and its radius, m.
 TOE = np.array([-0.052821, 0.092622, 0.0])
 HEEL = np.array([0.069746, -0.010224, 0.0])
+FOOT_RADIUS_M = 0.02
 
 # PD gains and torque limits of the ten active joints, joint side: N·m/rad, N·m·s/rad, N·m.
 P_GAIN = np.tile([100.0, 100.0, 88.0, 96.0, 50.0], 2)

@@ -24,7 +24,6 @@ from cassie_mjx.physics.types import Disturbance
 from cassie_mjx.reference import ReferenceMotion, heading_x, make_periodic, save, velocity_error
 
 STRIDE_M, STRIDE_TOLERANCE_M = 0.5, 0.02
-FOOT_RADIUS_M = 0.02
 FRAMES, FRAME_HEIGHT, FRAME_WIDTH = 8, 300, 190
 
 
@@ -109,7 +108,7 @@ def foot_points(physics: NativePhysics, qpos: np.ndarray) -> np.ndarray:
         for body in robot.FOOT_BODIES
         for end in (robot.TOE, robot.HEEL)
     ]
-    return np.stack(ends, axis=1) - (0.0, 0.0, FOOT_RADIUS_M)
+    return np.stack(ends, axis=1) - (0.0, 0.0, robot.FOOT_RADIUS_M)
 
 
 def slip(points: np.ndarray) -> float:
