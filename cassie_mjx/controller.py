@@ -164,16 +164,14 @@ class ControllerState:
     line_w: jax.Array
 
 
-def init(config: ControllerConfig, qpos: Array, qvel: Array, bodies: BodyState) -> ControllerState:
+def init(config: ControllerConfig, qpos: Array, bodies: BodyState) -> ControllerState:
     """Begin to walk from where the robot stands, the way it looks: half a step, on the right leg.
 
     Args:
       config: parameters.
       qpos: [B, 35], in MuJoCo's order.
-      qvel: [B, 32], in MuJoCo's order; a pendulum at rest needs none of it.
       bodies: poses of the bodies at qpos.
     """
-    del qvel
     return _over_robots(_init_robot, config, _float32((jnp.asarray(qpos), bodies)))
 
 

@@ -172,6 +172,18 @@ def close_loops(model: mujoco.MjModel, qpos: np.ndarray, tolerance_m: float = 1e
     )
 
 
+def close_loops_velocity(model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+    """Change the passive joints' velocities in qvel [32] as little as keeps the loops closed at qpos [35]."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_fwdPosition(model, data)
+    jacobian = data.efc_J.reshape(-1, model.nv)[: data.ne]
+    fitted = qvel.copy()
+    # J qvel = 0
+    fitted[robot.LOOP_QVEL] -= np.linalg.lstsq(jacobian[:, robot.LOOP_QVEL], jacobian @ qvel, rcond=1e-9)[0]
+    return fitted
+
+
 def loop_error(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
     """Largest distance between the two anchors of a loop, m, for each of qpos [..., 35]."""
     data = mujoco.MjData(model)

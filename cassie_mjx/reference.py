@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from cassie_mjx import robot
-from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, close_loops
+from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, close_loops, close_loops_velocity
 from cassie_mjx.model import load as load_model
 from cassie_mjx.robot import Array
 
@@ -245,7 +245,7 @@ def make_periodic(qpos: np.ndarray, qvel: np.ndarray, model: mujoco.MjModel) -> 
             images.append((q, v) if i < half else (robot.mirror_qpos(q), robot.mirror_qvel(v)))
         (q, v), (q_image, v_image) = images
         q = close_loops(model, _within_limits(model, _moved(model, q, _difference(model, q, q_image) / 2)))
-        states.append((q, _loop_velocity(model, q, (v + v_image) / 2)))
+        states.append((q, close_loops_velocity(model, q, (v + v_image) / 2)))
     first_q, first_v = (np.array(halves) for halves in zip(*states, strict=True))
     qpos = np.concatenate([first_q, robot.mirror_qpos(first_q)])
     qpos[:, _X] += length * progress[:-1] - qpos[0, _X]
@@ -315,17 +315,6 @@ def _within_limits(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
     clipped = qpos.copy()
     clipped[address] = qpos[address].clip(*model.jnt_range[limited].T)
     return clipped
-
-
-def _loop_velocity(model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-    """Change the passive joints' velocities in qvel [32] as little as keeps the loops closed: J qvel = 0."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_fwdPosition(model, data)
-    jacobian = data.efc_J.reshape(-1, model.nv)[: data.ne]
-    fitted = qvel.copy()
-    fitted[robot.LOOP_QVEL] -= np.linalg.lstsq(jacobian[:, robot.LOOP_QVEL], jacobian @ qvel, rcond=1e-9)[0]
-    return fitted
 
 
 def _beyond_limits(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[float, str]:

@@ -1,18 +1,21 @@
 """What can be evaluated: heuristic walkers and trained policies, each as a `Subject` of the sweeps."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cassie_mjx import controller, robot
-from cassie_mjx.controller import CONTROLLERS, ControllerState
+from cassie_mjx.controller import CONTROLLERS, ControllerConfig, ControllerState
 from cassie_mjx.envs import observation
 from cassie_mjx.export import NumpyPolicy, learner_policy
 from cassie_mjx.model import CONTROL_PERIOD_S, standing
-from cassie_mjx.physics.types import Array, Disturbance, Physics, PhysicsState
+from cassie_mjx.physics.types import Array, BodyState, Disturbance, Physics, PhysicsState
 from cassie_mjx.ppo import networks
 from cassie_mjx.reference import ReferenceMotion, sample
 from cassie_mjx.returns import EPISODE_STEPS, STARTS, referee, walk_returns
@@ -38,58 +41,106 @@ def resolve(name: str) -> Subject:
     return PolicySubject(name, NumpyPolicy.load(path))
 
 
+def walked(
+    subject: Subject, physics: Physics, walker: Walker, disturbance: Disturbance | None = None
+) -> Iterator[Walker]:
+    """Robots that walk on without end, as they are before each act; undisturbed by default."""
+    disturbance = disturbance or Disturbance.none(len(walker.physics.qpos))
+    act_steps = round(subject.period_s / physics.model.opt.timestep)
+    while True:
+        yield walker
+        target, memory = subject.act(physics, walker.physics, walker.memory)
+        # What a robot with NaN in its state wants does not matter any more.
+        target = np.nan_to_num(np.asarray(target, float))
+        walker = Walker(physics.advance(walker.physics, target, disturbance, act_steps), memory)
+
+
+def side_by_side(subject: Subject, walkers: Sequence[Walker]) -> Walker:
+    """The robots of all `walkers` in one batch, the first walker's first, each carried back to x = 0."""
+    together = jax.tree.map(lambda *leaves: np.concatenate(leaves), *walkers)
+    return carried(subject, together, -together.physics.qpos[:, :3] * np.array([1.0, 0.0, 0.0]))
+
+
 def copied_along(subject: Subject, physics: Physics, walker: Walker, calls: np.ndarray) -> Walker:
     """One robot walks on, and a copy of it is taken before each of the acts `calls` [B], counted from 0, back at x = 0.
 
     Raises:
       ValueError: it falls before it walks steadily.
     """
-    act_steps = round(subject.period_s / physics.model.opt.timestep)
-    taken = {}
-    for call in range(calls.max() + 1):
-        if call in calls:
-            taken[call] = walker
-        target, memory = subject.act(physics, walker.physics, walker.memory)
-        moved = physics.advance(walker.physics, np.asarray(target, float), Disturbance.none(1), act_steps)
-        walker = Walker(moved, memory)
-    walkers = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(taken[call] for call in calls.tolist()))
+    walk = enumerate(islice(walked(subject, physics, walker), calls.max() + 1))
+    taken = {call: walker for call, walker in walk if call in calls}
+    walkers = side_by_side(subject, [taken[call] for call in calls.tolist()])
     if fallen(walkers.physics.qpos, np.zeros(len(calls))).any():
         raise ValueError(f"{subject.name} falls before it walks steadily, so there is nothing to measure.")
-    return carried(subject, walkers, -walkers.physics.qpos[:, :3] * np.array([1.0, 0.0, 0.0]))
+    return walkers
+
+
+class ControllerMemory(NamedTuple):
+    """What a robot of a `ControllerSubject` carries: leaves [B]."""
+
+    config: ControllerConfig
+    state: ControllerState
 
 
 class ControllerSubject:
-    """A heuristic walker as a `Subject`; phase 0 of its stride is where the left leg takes over."""
+    """Heuristic walkers as a `Subject`; phase 0 of their stride is where the left leg takes over.
 
-    def __init__(self, name: str) -> None:
-        """Take the controller `name` of `CONTROLLERS`."""
+    Every robot carries its parameters with it, so that robots of different parameters can walk side by side.
+    """
+
+    def __init__(self, name: str, config: ControllerConfig | None = None) -> None:
+        """Take the controller `name` of `CONTROLLERS`.
+
+        Args:
+          name: of the preset, which also gives period and step time.
+          config: other parameters than the preset's; leaves [B] for the B robots of `begin`, or [].
+        """
         self.name = CONTROLLER_PREFIX + name
-        self.config = CONTROLLERS[name]
-        self.period_s = self.config.period
-        self._step = jax.jit(controller.step)
+        preset = CONTROLLERS[name]
+        self.config = config or preset
+        self.period_s = preset.period
+        self.stride_calls = 2 * round(preset.step_time / preset.period)
+
+    def begin(self, physics: Physics, qpos: np.ndarray, qvel: np.ndarray) -> Walker:
+        """Robots that begin to walk from the states qpos [B, 35] and qvel [B, 32]."""
+        state = physics.init(qpos, qvel)
+        config = jax.tree.map(lambda leaf: np.broadcast_to(np.float32(leaf), len(qpos)), self.config)
+        return Walker(state, ControllerMemory(config, controller.init(config, state.qpos, physics.bodies(state))))
+
+    def stand(self, physics: Physics, robots: int) -> Walker:
+        """Robots that begin to walk from standing still."""
+        return self.begin(physics, np.tile(standing(physics.model), (robots, 1)), np.zeros((robots, robot.NV)))
+
+    def calls_before(self, stride: int) -> int:
+        """Acts between `begin` and phase 0 of a stride: the walk begins with half a step on the right leg."""
+        return self.stride_calls // 4 + stride * self.stride_calls
 
     def start(self, physics: Physics, phases: np.ndarray) -> Walker:
         """See `Subject.start`: one robot walks nine strides from standing, and is copied along the tenth."""
-        state = physics.init(standing(physics.model)[None], np.zeros((1, robot.NV)))
-        walker = Walker(state, controller.init(self.config, state.qpos, state.qvel, physics.bodies(state)))
-        step_calls = round(self.config.step_time / self.period_s)
-        # The walk begins half a step before the left leg takes over.
-        first = step_calls // 2 + 2 * step_calls * WARM_UP_STRIDES
-        calls = first + np.round(2 * step_calls * phases).astype(int)
-        return copied_along(self, physics, walker, calls)
+        calls = self.calls_before(WARM_UP_STRIDES) + np.round(self.stride_calls * phases).astype(int)
+        return copied_along(self, physics, self.stand(physics, 1), calls)
 
     def returns(self) -> list[Measured]:
         """See `Subject.returns`: a controller imitates nothing, so it has none."""
         return []
 
-    def act(self, physics: Physics, seen: PhysicsState, memory: ControllerState) -> tuple[Array, ControllerState]:
+    def act(self, physics: Physics, seen: PhysicsState, memory: ControllerMemory) -> tuple[Array, ControllerMemory]:
         """See `Subject.act`."""
-        return self._step(self.config, memory, seen.qpos, seen.qvel, physics.bodies(seen), self.period_s)
+        return _controller_act(memory, seen.qpos, seen.qvel, physics.bodies(seen), self.period_s)
 
-    def carried(self, memory: ControllerState, offset: np.ndarray) -> ControllerState:
+    def carried(self, memory: ControllerMemory, offset: np.ndarray) -> ControllerMemory:
         """See `Subject.carried`."""
         along = offset * np.array([1.0, 1.0, 0.0])
-        return replace(memory, liftoff_w=memory.liftoff_w + offset, line_w=memory.line_w + along)
+        state = memory.state
+        return memory._replace(state=replace(state, liftoff_w=state.liftoff_w + offset, line_w=state.line_w + along))
+
+
+@jax.jit
+def _controller_act(
+    memory: ControllerMemory, qpos: Array, qvel: Array, bodies: BodyState, period_s: float
+) -> tuple[Array, ControllerMemory]:
+    target, state = controller.step(memory.config, memory.state, qpos, qvel, bodies, period_s)
+    return target, memory._replace(state=state)
 
 
 class PolicySubject:

@@ -140,14 +140,14 @@ Watch: TypeAlias = Callable[[int, int], None]
 
 
 def fallen(qpos: Array, terrain: Array) -> Array:
-    """Whether the pelvis of qpos [B, 35] is lower than 0.6 m or higher than 1.2 m over the ground below it, or NaN."""
+    """Whether the pelvis of qpos [..., 35] is less than 0.6 m or more than 1.2 m over the ground below it, or NaN."""
     height = height_over_ground(qpos, terrain)
     return ~((height >= robot.FALL_LOW_M) & (height <= robot.FALL_HIGH_M))
 
 
 def height_over_ground(qpos: Array, terrain: Array) -> Array:
-    """Height of the pelvis of qpos [B, 35] over the terrain z = h sin x below it, [B], m; `terrain` is h, [B]."""
-    return qpos[:, 2] - terrain * np.sin(qpos[:, 0])
+    """Height of the pelvis of qpos [..., 35] over the terrain z = h sin x below it, m; `terrain` is h, [...], m."""
+    return qpos[..., 2] - terrain * np.sin(qpos[..., 0])
 
 
 def heading(qpos: Array) -> Array:

@@ -6,17 +6,19 @@ says whether the pair is needed.
 """
 
 from dataclasses import dataclass
+from itertools import islice
 
 import mujoco
 import numpy as np
 from rich.console import Console
 
 from cassie_mjx import cli
+from cassie_mjx.controller import CONTROLLERS
 from cassie_mjx.evaluate import DIRECTIONS, LIMIT_PHASES
-from cassie_mjx.model import WALKING_PAIRS, ModelConfig, load
+from cassie_mjx.model import CONTROL_PERIOD_S, WALKING_PAIRS, ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.subjects import ControllerSubject
-from cassie_mjx.sweeps import Trial, disturbances, fallen, placed
+from cassie_mjx.subjects import ControllerSubject, walked
+from cassie_mjx.sweeps import PUSH_S, Trial, disturbances, fallen, placed
 
 FAR_M = 0.5
 
@@ -40,18 +42,13 @@ def trajectories(name: str, push_n: float, seconds: float) -> np.ndarray:
     starts = subject.start(physics, LIMIT_PHASES)
     phases = range(len(LIMIT_PHASES))
     trials = [Trial(k, seconds, push=(push_n * x, push_n * y)) for x, y in DIRECTIONS.values() for k in phases]
-    state, memory = placed(subject, starts, trials)
-    hertz = 1 / physics.model.opt.timestep
-    disturbance = disturbances(trials, state, round(0.2 * hertz))
-    act_steps = round(subject.period_s * hertz)
-    samples = []
-    for call in range(round(seconds / subject.period_s)):
-        target, memory = subject.act(physics, state, memory)
-        state = physics.advance(state, np.nan_to_num(np.asarray(target, float)), disturbance, act_steps)
-        if call % round(0.032 / subject.period_s) == 0:
-            samples.append(state.qpos)
-    up = ~fallen(state.qpos, np.zeros(len(trials)))
-    return np.array(samples)[:, up].reshape(-1, state.qpos.shape[1])
+    walker = placed(subject, starts, trials)
+    disturbance = disturbances(trials, walker.physics, round(PUSH_S / physics.model.opt.timestep))
+    every, calls = (round(time / subject.period_s) for time in (CONTROL_PERIOD_S, seconds))
+    walk = islice(walked(subject, physics, walker, disturbance), 0, calls, every)
+    qpos = np.array([walker.physics.qpos for walker in walk])
+    up = ~fallen(qpos, np.zeros(len(trials))).any(axis=0)
+    return qpos[:, up].reshape(-1, qpos.shape[-1])
 
 
 def smallest_distances(qpos: np.ndarray) -> dict[str, float]:
@@ -71,7 +68,7 @@ def main(config: ContactsConfig) -> None:
     """Walk, measure and write the result."""
     out = cli.check_writable(config.out)
     rows = []
-    for name in ("stiff", "compliant"):
+    for name in CONTROLLERS:
         for push_n in (0.0, config.push_n):
             qpos = trajectories(name, push_n, config.seconds)
             for pair, distance in sorted(smallest_distances(qpos).items(), key=lambda item: item[1]):

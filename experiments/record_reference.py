@@ -7,21 +7,22 @@ screen, set MUJOCO_GL to osmesa or egl).
 """
 
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import imageio.v3 as imageio
-import jax
 import mujoco
 import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from cassie_mjx import cli, controller, robot
+from cassie_mjx import cli, robot
 from cassie_mjx.controller import CONTROLLERS
-from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load, loop_error, standing, xml_path
+from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load, loop_error, xml_path
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Disturbance
 from cassie_mjx.reference import ReferenceMotion, heading_x, make_periodic, save, velocity_error
+from cassie_mjx.subjects import ControllerSubject, walked
+from cassie_mjx.sweeps import fallen
 
 STRIDE_M, STRIDE_TOLERANCE_M = 0.5, 0.02
 FRAMES, FRAME_HEIGHT, FRAME_WIDTH = 8, 300, 190
@@ -61,27 +62,12 @@ def walk(config: RecordConfig, physics: NativePhysics) -> tuple[np.ndarray, np.n
       (qpos [K + 1, B, 35], qvel [K + 1, B, 32]): the states at the K calls of the controller in that stride and at the
       first of the next, for the B speeds.
     """
-    preset, robots = CONTROLLERS[config.preset], len(config.speeds)
-    parameters = replace(preset, speed=np.array(config.speeds, np.float32))
-    parameters = jax.tree.map(lambda leaf: np.broadcast_to(np.float32(leaf), robots), parameters)
-    state = physics.init(np.tile(standing(physics.model), (robots, 1)), np.zeros((robots, robot.NV)))
-    control = controller.init(parameters, state.qpos, state.qvel, physics.bodies(state))
-    step, undisturbed = jax.jit(controller.step), Disturbance.none(robots)
-    physics_steps = round(preset.period / physics.model.opt.timestep)
-    stride_calls = round(2 * preset.step_time / preset.period)
-    # The walker begins with half a step on the right leg.
-    first = stride_calls // 4 + config.strides * stride_calls
-    states = []
-    for call in range(first + stride_calls + 1):
-        if call >= first:
-            states.append((state.qpos, state.qvel))
-        bodies = physics.bodies(state)
-        target, control = step(parameters, control, state.qpos, state.qvel, bodies, preset.period)
-        # A robot that has fallen may be sent nowhere; it is not chosen.
-        target = np.nan_to_num(np.asarray(target, float))
-        state = physics.advance(state, target, undisturbed, physics_steps)
-    qpos, qvel = (np.array(values) for values in zip(*states, strict=True))
-    return qpos, qvel
+    aims = replace(CONTROLLERS[config.preset], speed=np.array(config.speeds, np.float32))
+    subject = ControllerSubject(config.preset, aims)
+    first = subject.calls_before(config.strides)
+    walk = walked(subject, physics, subject.stand(physics, len(config.speeds)))
+    stride = [walker.physics for walker in islice(walk, first, first + subject.stride_calls + 1)]
+    return np.array([state.qpos for state in stride]), np.array([state.qvel for state in stride])
 
 
 def choose(qpos: np.ndarray) -> int:
@@ -90,9 +76,9 @@ def choose(qpos: np.ndarray) -> int:
     Raises:
       ValueError: none is within 0.02 m.
     """
-    x, y, z = np.moveaxis(qpos[..., robot.qpos_index("pelvis")[:3]], -1, 0)
+    x, y = np.moveaxis(qpos[..., robot.qpos_index("pelvis")[:2]], -1, 0)
     length = np.hypot(x[-1] - x[0], y[-1] - y[0])
-    up = ((z > robot.FALL_LOW_M) & (z < robot.FALL_HIGH_M)).all(axis=0)
+    up = ~fallen(qpos, np.zeros(qpos.shape[1])).any(axis=0)
     error = np.where(up, np.abs(length - STRIDE_M), np.inf)
     if error.min() > STRIDE_TOLERANCE_M:
         lengths = ", ".join(f"{m:.3f} m" if ok else "a fall" for m, ok in zip(length, up, strict=True))

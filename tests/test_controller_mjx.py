@@ -24,7 +24,7 @@ def test_walks_ten_seconds(standing_qpos, name):
     disturbance = Disturbance.none(ROBOTS)
     qvel = 0.02 * np.random.default_rng(0).normal(size=(ROBOTS, robot.NV)).astype(np.float32)
     state = physics.init(np.tile(standing_qpos, (ROBOTS, 1)).astype(np.float32), qvel)
-    control = controller.init(config, state.qpos, state.qvel, physics.bodies(state))
+    control = controller.init(config, state.qpos, physics.bodies(state))
 
     def act(carry, _):
         state, control = carry

@@ -249,7 +249,7 @@ def test_the_controller_starts_along_its_stride_and_walks_on(model):
     starts = subject.start(physics, phases)
     np.testing.assert_allclose(starts.physics.qpos[:, 0], 0, atol=1e-12)
     # At phase 0 the clock of the right leg's step is over, and the next call gives the left leg its turn.
-    memory = starts.memory
+    memory = starts.memory.state
     off_phase = (memory.stance * 0.352 + memory.phase - 0.704 * phases + 0.1) % 0.704 - 0.1
     np.testing.assert_allclose(off_phase, 0, atol=1e-3)
     # The foot in the air, or about to leave the ground, left it within half a stride of the pelvis.
@@ -257,7 +257,7 @@ def test_the_controller_starts_along_its_stride_and_walks_on(model):
     result = fly(subject, physics, starts, [Trial(k, 3.0) for k in range(4)])
     assert not result.fell.any()
     np.testing.assert_allclose(result.distance_m / 3.0, 0.7, atol=0.07)
-    moved = subject.carried(memory, np.tile([1.0, 2.0, 3.0], (4, 1)))
+    moved = subject.carried(starts.memory, np.tile([1.0, 2.0, 3.0], (4, 1))).state
     np.testing.assert_allclose(moved.liftoff_w - memory.liftoff_w, np.tile([1, 2, 3], (4, 1)), atol=1e-6)
     np.testing.assert_allclose(moved.line_w - memory.line_w, np.tile([1, 2, 0], (4, 1)), atol=1e-6)
 

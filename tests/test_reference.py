@@ -1,8 +1,6 @@
 """The reference motion: its algebra by hand, the shipped stride, files good and bad, and where it comes from."""
 
-import json
 from dataclasses import replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,16 +15,12 @@ from cassie_mjx.physics.types import Disturbance
 from cassie_mjx.reference import (
     ReferenceMotion,
     blend,
-    load,
-    load_trajectory,
     make_periodic,
     resolve,
     sample,
-    save,
-    shipped_path,
     stretch,
 )
-from experiments.record_reference import RecordConfig, choose, foot_points, record, slip
+from experiments.record_reference import foot_points
 
 X, Y, Z = robot.qpos_index("pelvis")[:3]
 ROTATION = robot.qpos_index("pelvis")[3:]
@@ -232,172 +226,3 @@ def test_make_periodic_wants_two_halves(model, motion):
     qpos, qvel = next_stride(motion)
     with pytest.raises(ValueError, match="A stride of 21 samples has no two halves"):
         make_periodic(qpos[:-1], qvel[:-1], model)
-
-
-def test_save_and_load_round_trip(tmp_path, motion):
-    save(tmp_path / "motion.npz", motion, {"seed": 3, "command": "none"})
-    found, provenance = load(tmp_path / "motion.npz")
-    assert provenance == {"seed": 3, "command": "none"}
-    for ours, wanted in zip(jax.tree.leaves(found), jax.tree.leaves(motion), strict=True):
-        np.testing.assert_array_equal(ours, wanted)
-    assert resolve(str(tmp_path / "motion.npz")).stride_length == motion.stride_length
-    assert [path.name for path in tmp_path.iterdir()] == ["motion.npz"]
-
-
-def spoil(motion, **changes):
-    """A copy of a motion with single values of qpos or qvel replaced: name -> (index, value)."""
-    motion = jax.tree.map(np.copy, motion)
-    for name, (index, value) in changes.items():
-        getattr(motion, name)[index] = value
-    return motion
-
-
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        (lambda m: replace(m, qpos=m.qpos[:, :-1]), r"shapes \(22, 34\), \(22, 32\), \(\); a motion has \[N, 35\]"),
-        (lambda m: ReferenceMotion(m.qpos[:1], m.qvel[:1], m.stride_length), "N at least 2"),
-        (lambda m: spoil(m, qvel=((3, 4), np.nan)), "qvel has values that are not finite numbers"),
-        (lambda m: replace(m, stride_length=np.array(np.inf)), "stride_length has values that are not finite"),
-        (
-            lambda m: spoil(m, qpos=((7, ROTATION), 0.9)),
-            "no motion of Cassie: row 7 has a pelvis quaternion of norm 1.8",
-        ),
-        (lambda m: spoil(m, qpos=((2, Z), 0.2)), r"the pelvis goes from 0.2 to 0.97\d m"),
-        (lambda m: spoil(m, qpos=((5, robot.qpos_index("left-knee")), 1.0)), "row 5 has left-knee at 1 rad, limits"),
-    ],
-)
-def test_a_saved_motion_that_is_none(tmp_path, motion, change, sentence):
-    save(tmp_path / "bad.npz", change(motion), {})
-    with pytest.raises(ValueError, match=f"bad.npz.*{sentence}"):
-        load(tmp_path / "bad.npz")
-
-
-def test_a_file_of_another_kind(tmp_path, motion):
-    path = tmp_path / "bad.npz"
-    with pytest.raises(ValueError, match=r"bad.npz cannot be read: .*No such file"):
-        load(path)
-    path.write_bytes(shipped_path("walk").read_bytes()[:3000])
-    with pytest.raises(ValueError, match=r"bad.npz cannot be read"):
-        load(path)
-    np.savez(path, qpos=motion.qpos)
-    with pytest.raises(ValueError, match=r"bad.npz cannot be read: it is not a cassie-mjx reference motion"):
-        load(path)
-    content: dict[str, Any] = dict(np.load(shipped_path("walk")))
-    content["version"] = 9
-    np.savez(path, **content)
-    with pytest.raises(ValueError, match=r"bad.npz has version 9 of the format; this program reads version 1"):
-        load(path)
-    content["qpos"] = np.array([{}])
-    np.savez(path, **content)
-    with pytest.raises(ValueError, match=r"bad.npz cannot be read: .*allow_pickle"):
-        load(path)
-    with pytest.raises(ValueError, match="reference='wlak' is neither walk nor a file"):
-        resolve("wlak")
-
-
-def trajectory(motion, duration):
-    """Rows of the public format: the motion at 2 kHz, paced to last `duration` s; its velocities are left alone."""
-    qpos, qvel = next_stride(motion)
-    at = np.linspace(0, 22, round(duration * 2000) + 1)
-    columns = [np.interp(at, np.arange(23), column) for column in np.hstack([qpos, qvel]).T]
-    rows = np.zeros((len(at), 98))
-    rows[:, 0] = np.linspace(0, duration, len(at))
-    rows[:, 1:68] = np.stack(columns, axis=1)
-    for quaternion in (ROTATION, *ACHILLES):
-        rows[:, 1 + quaternion] /= np.linalg.norm(rows[:, 1 + quaternion], axis=1, keepdims=True)
-    return rows
-
-
-def write_trajectory(path, rows):
-    path.write_bytes(rows.astype("<f8").tobytes())
-    return path
-
-
-def test_trajectory_file_round_trip(tmp_path, motion):
-    path = write_trajectory(tmp_path / "stride.bin", trajectory(motion, 0.704))
-    found = resolve(str(path))
-    for ours, wanted in zip(jax.tree.leaves(found), jax.tree.leaves(motion), strict=True):
-        np.testing.assert_allclose(ours, wanted, atol=1e-9)
-
-
-def test_trajectory_of_the_published_duration_becomes_26_samples(tmp_path, motion):
-    found = load_trajectory(write_trajectory(tmp_path / "stride.bin", trajectory(motion, 0.84)))
-    assert found.qpos.shape == (26, robot.NQ)
-    assert found.stride_length == pytest.approx(motion.stride_length)
-    np.testing.assert_allclose(found.qpos[13], motion.qpos[11], atol=1e-9)
-    np.testing.assert_allclose(found.qvel[13], motion.qvel[11] * 0.84 / 0.832, atol=1e-9)
-    x = np.append(found.qpos[:, X], found.stride_length)
-    # The mean speed over the stride's own time is what a step covers in 32 ms.
-    assert np.diff(x).mean() / 0.032 == pytest.approx(motion.stride_length / 0.832)
-
-
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        (lambda rows: rows.ravel()[:-50], r"\d+ bytes, no whole number of rows of 784: it is cut short"),
-        (lambda rows: rows[:0], "0 bytes, no whole number of rows"),
-        (lambda rows: rows.astype(">f8").view("<f8"), "no motion of Cassie|not finite"),
-        (lambda rows: np.where(np.arange(98) == 9, np.nan, rows), "qpos has values that are not finite numbers"),
-        (lambda rows: np.roll(rows, 1, axis=1), r"no motion of Cassie: row \d+ has a pelvis quaternion of norm"),
-        (lambda rows: rows + 0.4 * (np.arange(98) == 1 + Z), "the pelvis goes from 1.37 to 1.38 m"),
-        (lambda rows: rows + 3 * (np.arange(98) == 1 + robot.ACTIVE_QPOS[4]), "left-foot at 1.5.* rad, limits"),
-        (lambda rows: rows * (np.arange(98) > 0), "time, must rise with each row"),
-        (lambda rows: rows[: len(rows) // 3], "its last row must repeat the first besides x, and is off by 0.[1-9]"),
-    ],
-)
-def test_a_trajectory_file_that_is_none(tmp_path, motion, change, sentence):
-    path = write_trajectory(tmp_path / "bad.bin", change(trajectory(motion, 0.704)))
-    with pytest.raises(ValueError, match=f"bad.bin.*({sentence})"):
-        load_trajectory(path)
-
-
-def test_the_recorder_takes_the_stride_nearest_to_half_a_metre():
-    qpos = np.zeros((3, 4, robot.NQ))
-    qpos[..., Z] = 0.9
-    qpos[1, 2, Z] = 0.5
-    # 0.3 and 0.4 along two axes are 0.5; the third robot falls.
-    qpos[-1, :, :2] = [[0.47, 0], [0.3, 0.39], [0.5, 0], [0.52, 0]]
-    assert choose(qpos) == 1
-    with pytest.raises(ValueError, match=r"No speed gives a stride of 0.5 m, but 0.470 m, a fall; name other speeds"):
-        choose(qpos[:, [0, 2]])
-
-
-def test_slip_is_the_way_of_a_point_while_it_is_down():
-    path = np.array(
-        [[0, 0, 0.1], [1, 0, -0.001], [1.003, 0.004, -0.001], [1.001, 0, -0.001], [2, 0, 0.1], [3, 0, -0.001]]
-    )
-    assert slip(path[:, None]) == pytest.approx(0.005)
-
-
-def test_a_recording_that_cannot_be_made():
-    with pytest.raises(ValueError, match="preset='soft' is not known; choose one of stiff, compliant"):
-        RecordConfig(preset="soft")
-    with pytest.raises(ValueError, match="strides=5 is too short for the walk to settle; use 43 or more"):
-        RecordConfig(strides=5)
-    with pytest.raises(ValueError, match="speeds is empty"):
-        RecordConfig(speeds=())
-
-
-def test_shipped_file_says_where_it_comes_from():
-    _, provenance = load(shipped_path("walk"))
-    assert provenance["command"].startswith("python -m experiments.record_reference preset=compliant")
-    assert provenance["period_s"] == pytest.approx(0.704)
-    assert provenance["end_minus_start_qpos"] < 1e-3
-    assert provenance["asymmetry_qpos"] < 2e-3
-    assert provenance["simulated_loop_error_m"] < 1e-3
-    assert provenance["slip_m"] < 0.01
-    json.dumps(provenance)
-
-
-@pytest.mark.slow
-def test_shipped_file_is_what_the_recorder_makes(motion):
-    """The walk has converged onto one cycle; other processors round otherwise on the way to it."""
-    _, provenance = load(shipped_path("walk"))
-    config = RecordConfig(
-        preset=provenance["preset"], strides=provenance["strides"], speeds=(provenance["controller_speed_mps"],)
-    )
-    again, _ = record(config)
-    np.testing.assert_allclose(again.stride_length, motion.stride_length, atol=1e-3)
-    np.testing.assert_allclose(again.qpos, motion.qpos, atol=2e-3)
-    np.testing.assert_allclose(again.qvel, motion.qvel, atol=0.1)

@@ -1,0 +1,104 @@
+"""Walk from perturbed starts: `python -m experiments.perturbed_starts out=FILE.json`.
+
+Each heuristic walker starts from random poses and velocities around standing still, the loops of the mechanism closed,
+and walks for a minute in MuJoCo C at 2 kHz.
+"""
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import mujoco
+import numpy as np
+from rich.console import Console
+
+from cassie_mjx import cli, robot
+from cassie_mjx.controller import CONTROLLERS
+from cassie_mjx.model import ModelConfig, close_loops, close_loops_velocity, load, standing
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.subjects import ControllerSubject
+from cassie_mjx.sweeps import EpisodeResult, Trial, fly
+from experiments.record_reference import foot_points
+
+
+@dataclass(frozen=True)
+class PerturbedConfig:
+    """How far from standing still to start; every value is drawn evenly from minus to plus the size given here."""
+
+    robots: int = 20
+    """Starts."""
+    seed: int = 0
+    """Seed of the starts."""
+    seconds: float = 60.0
+    """Duration of the walk, s."""
+    tilt_rad: float = 0.05
+    """Roll and pitch of the pelvis, and with it of the whole robot, rad."""
+    joint_rad: float = 0.05
+    """Angles of the ten active joints, rad."""
+    drop_m: float = 0.02
+    """Height of the lowest point of the feet over the floor, from 0 up, m."""
+    pelvis_mps: float = 0.2
+    """Velocity of the pelvis along each axis, m/s."""
+    pelvis_radps: float = 0.2
+    """Angular velocity of the pelvis about each axis, rad/s."""
+    joint_radps: float = 0.2
+    """Velocities of the ten active joints, rad/s."""
+    out: str = "perturbed_starts.json"
+    """Result file."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for starts that cannot be made."""
+        for name, least in (("robots", 1), ("seconds", 5.0), *((f.name, 0) for f in fields(self)[3:-1])):
+            if not getattr(self, name) >= least:
+                raise ValueError(f"{name}={getattr(self, name)} is too small; it must be at least {least}.")
+
+
+def perturbed(config: PerturbedConfig, physics: NativePhysics) -> tuple[np.ndarray, np.ndarray]:
+    """Starting states, qpos [robots, 35] and qvel [robots, 32]: loops closed, the lower foot close above the floor."""
+    rng = np.random.default_rng(config.seed)
+    pelvis = robot.qvel_index("pelvis")
+    pose, velocity = np.zeros(robot.NV), np.zeros(robot.NV)
+    pose[pelvis[3:5]], pose[robot.ACTIVE_QVEL] = config.tilt_rad, config.joint_rad
+    velocity[pelvis[:3]], velocity[pelvis[3:]] = config.pelvis_mps, config.pelvis_radps
+    velocity[robot.ACTIVE_QVEL] = config.joint_radps
+    moves, qvel = (size * rng.uniform(-1, 1, (config.robots, robot.NV)) for size in (pose, velocity))
+    qpos = np.tile(standing(physics.model), (config.robots, 1))
+    for k, move in enumerate(moves):
+        mujoco.mj_integratePos(physics.model, qpos[k], move, 1.0)
+        qpos[k] = close_loops(physics.model, qpos[k])
+        qvel[k] = close_loops_velocity(physics.model, qpos[k], qvel[k])
+    lowest = foot_points(physics, qpos)[..., 2].min(axis=1)
+    qpos[:, robot.qpos_index("pelvis")[2]] += rng.uniform(0, config.drop_m, config.robots) - lowest
+    return qpos, qvel
+
+
+def walk(name: str, config: PerturbedConfig) -> EpisodeResult:
+    """How the walker `name` of `CONTROLLERS` did from each of the starts, [robots]."""
+    physics, subject = NativePhysics(load(ModelConfig())), ControllerSubject(name)
+    starts = subject.begin(physics, *perturbed(config, physics))
+    return fly(subject, physics, starts, [Trial(k, config.seconds) for k in range(config.robots)])
+
+
+def figures(result: EpisodeResult) -> list[tuple[str, float, str]]:
+    """Quantity, value and unit: falls, and the extremes over the walks."""
+    return [
+        ("falls", float(result.fell.sum()), f"of {len(result.fell)}"),
+        ("survived_s", float(result.survived_s.min()), "s"),
+        ("speed_smallest_mps", float(result.speed_mps.min()), "m/s"),
+        ("speed_largest_mps", float(result.speed_mps.max()), "m/s"),
+        ("drift_m", float(np.abs(result.drift_m).max()), "m"),
+    ]
+
+
+def main(config: PerturbedConfig) -> None:
+    """Walk, write the result and show it."""
+    out = cli.check_writable(config.out)
+    rows: list[dict[str, Any]] = []
+    for name in CONTROLLERS:
+        for quantity, value, unit in figures(walk(name, config)):
+            rows.append({"subject": f"controller:{name}", "quantity": quantity, "value": value, "unit": unit})
+            Console(stderr=True).print(rows[-1])
+    cli.write_json(out, {"rows": rows, "provenance": cli.provenance(**asdict(config))})
+
+
+if __name__ == "__main__":
+    cli.run(main, PerturbedConfig)

@@ -1,0 +1,54 @@
+"""The tuner: what it searches, what it puts candidates through, and that its score tells them apart."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from cassie_mjx import cli
+from cassie_mjx.controller import COMPLIANT, CONTROLLERS, STIFF
+from experiments.tune_controller import DEMANDS, Evaluator, TuneConfig, candidate, parameters, trials
+
+
+@pytest.mark.parametrize(
+    ("preset", "wrong"), [("soft", {}), ("stiff", {"population": 2}), ("stiff", {"generations": 0})]
+)
+def test_tuner_refuses_what_it_cannot_search(preset, wrong):
+    with pytest.raises(
+        ValueError, match=r"preset='soft' is not known; choose one of stiff|too small; it must be at least"
+    ):
+        TuneConfig(preset=preset, **wrong)
+
+
+def test_tuner_names_its_keys():
+    with pytest.raises(ValueError, match="'sed' is not a key; the keys are preset, generations"):
+        cli.parse(TuneConfig, ["sed=1"])
+
+
+@pytest.mark.parametrize("preset", CONTROLLERS)
+def test_search_starts_at_the_shipped_preset(preset):
+    nowhere = np.zeros(len(parameters(preset)))
+    flat = jax.tree.leaves(candidate(preset, nowhere))
+    np.testing.assert_allclose(flat, jax.tree.leaves(CONTROLLERS[preset]), rtol=1e-6)
+    assert candidate("compliant", np.ones(len(parameters("compliant")))).knee_p == COMPLIANT.knee_p
+    assert candidate("stiff", np.ones(len(parameters("stiff")))).knee_p > STIFF.knee_p
+
+
+def test_a_candidate_goes_through_every_kind_of_trial():
+    listed = trials(DEMANDS["compliant"])
+    forces = {trial.push for kind, trial in listed if kind == "backward"}
+    assert forces == {(-170.0, 0.0), (-200.0, 0.0)}
+    assert {trial.start for kind, trial in listed if kind == "left"} == set(range(8))
+    assert {trial.terrain for kind, trial in listed if kind == "terrain"} == {0.3}
+
+
+@pytest.mark.slow
+def test_the_score_tells_good_from_bad_and_fallen():
+    shipped, clumsy, fallen = Evaluator("compliant")(
+        [COMPLIANT, replace(COMPLIANT, gain_x=0.3), replace(COMPLIANT, gain_y=0.0)]
+    )
+    assert shipped.cost + 0.5 < clumsy.cost < fallen.cost
+    assert shipped.speed == pytest.approx(0.69, abs=0.02)
+    assert min(shipped.survival.values()) > 0.7
+    assert max(fallen.survival.values()) < 0.1
