@@ -54,6 +54,8 @@ class ControllerConfig:
     """Lateral distance between the feet, m."""
     gain_x: float = 0.427
     """Share of the forward velocity error that the next foothold corrects; 1 is deadbeat."""
+    gain_slow: float = 0.427
+    """The same where the robot is slower than wanted, as after a push backward."""
     gain_y: float = 0.895
     """Share of the lateral velocity error that the next foothold corrects; 1 is deadbeat."""
     line_gain: float = 0.0889
@@ -118,6 +120,7 @@ COMPLIANT = ControllerConfig(
     speed=0.619,
     width=0.279,
     gain_x=0.56,
+    gain_slow=0.56,
     gain_y=0.858,
     line_gain=0.116,
     min_width=0.05,
@@ -219,7 +222,8 @@ def foot_placement(
     back = jnp.clip(config.line_gain * off_line, -config.line_limit, config.line_limit)
     expected = jnp.stack([jnp.asarray(config.speed, jnp.float32), v_0])
     wanted = jnp.stack([jnp.asarray(config.speed, jnp.float32), -v_0 - back])
-    gain = jnp.stack([jnp.asarray(config.gain_x), jnp.asarray(config.gain_y)])
+    gain_x = jnp.where(velocity[0] < config.speed, config.gain_slow, config.gain_x)
+    gain = jnp.stack([gain_x, jnp.asarray(config.gain_y)])
     # From foothold f the next step ends at v_d = C v- - omega S f; K scales what v- differs from the plan:
     # f = (C v_plan - v_d) / (omega S) + K C / (omega S) (v- - v_plan)
     return (cosh * expected - wanted + gain * cosh * (velocity - expected)) / (omega * sinh)
