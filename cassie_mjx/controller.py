@@ -62,6 +62,12 @@ class ControllerConfig:
     """Lateral velocity towards the line of walking per distance from it, 1/s."""
     line_limit: float = 0.1
     """Largest lateral velocity towards the line of walking, m/s."""
+    haste: float = 0.0
+    """What a speed error at the end of the step adds to the pace of the clock, beyond `haste_free`, s/m."""
+    haste_free: float = 0.8
+    """Speed error that leaves the pace of the clock alone, m/s: more than in steady walking and in starting."""
+    haste_limit: float = 0.6
+    """Largest addition to the pace of the clock."""
     reach_x: float = 0.45
     """Longest distance of a foothold ahead of or behind the centre of mass, m."""
     reach_y: float = 0.40
@@ -248,12 +254,17 @@ def _pendulum_velocity(bodies: BodyState, now: Sensed, pivot: jax.Array) -> jax.
     return jnp.stack([momentum[1], -momentum[0]]) / (mass.sum() * (now.com - pivot)[2])
 
 
-def _velocity_at_switch(config: ControllerConfig, r: jax.Array, velocity: jax.Array, phase: jax.Array) -> jax.Array:
-    """Velocity [2] of the pendulum at the end of the step, for its arm r [3] from the stance sole."""
+def _velocity_after(r: jax.Array, velocity: jax.Array, tau: jax.Array) -> jax.Array:
+    """Velocity [2] of the pendulum in tau seconds, for its arm r [3] from the stance sole."""
     omega = jnp.sqrt(GRAVITY / r[2])
-    tau = config.step_time - phase
     # v- = omega sinh(omega tau) r + cosh(omega tau) v
     return omega * jnp.sinh(omega * tau) * r[:2] + jnp.cosh(omega * tau) * velocity
+
+
+def _pace(config: ControllerConfig, v_end: jax.Array) -> jax.Array:
+    """How fast the clock goes: 1, or more where the speed v_end [2] at the end of the step is far off."""
+    error = jnp.abs(v_end[0] - config.speed)
+    return 1 + jnp.clip(config.haste * (error - config.haste_free), 0.0, config.haste_limit)
 
 
 def _landing(
@@ -276,13 +287,14 @@ def _swing_targets(
     now: Sensed,
     state: ControllerState,
     landing: jax.Array,
+    pace: jax.Array,
     ahead: jax.Array,
 ) -> jax.Array:
     """Joint angles of the swing leg `ahead` seconds from now, [5], rad, if the pelvis keeps its velocity.
 
     The sole goes, level, from where it left the ground to `landing` (x, y), at the height of the ground expected there.
     """
-    s = (state.phase + ahead) / config.step_time
+    s = (state.phase + pace * ahead) / config.step_time
     start, stance = now.local(state.liftoff_w), now.soles[state.stance]
     stride = stance - start
     # dz / dx, and 0 instead of a large number for steps much shorter than 0.1 m
@@ -299,9 +311,11 @@ def _swing_targets(
     return jnp.append(hips_and_knee, level_foot(hips_and_knee[2], now.angles[2]))
 
 
-def _swing_torque(config: ControllerConfig, now: Sensed, state: ControllerState, landing: jax.Array) -> jax.Array:
+def _swing_torque(
+    config: ControllerConfig, now: Sensed, state: ControllerState, landing: jax.Array, pace: jax.Array
+) -> jax.Array:
     """Torque of the swing leg, [5], N·m: PD on its targets, whose velocity comes from their derivative."""
-    plan = functools.partial(_swing_targets, config, now, state, landing)
+    plan = functools.partial(_swing_targets, config, now, state, landing, pace)
     target, target_rate = jax.jvp(plan, (jnp.zeros(()),), (jnp.ones(()),))
     swing = 1 - state.stance
     rate_error = config.swing_feedforward * target_rate - now.qdot[swing]
@@ -364,14 +378,16 @@ def _step_robot(
     now = sense(qpos, qvel, bodies)
     pivot = now.soles[state.stance]
     r = now.com - pivot
-    v_end = _velocity_at_switch(config, r, _pendulum_velocity(bodies, now, pivot), state.phase)
-    swing = _swing_torque(config, now, state, _landing(config, now, state, r, v_end))
+    velocity, left = _pendulum_velocity(bodies, now, pivot), config.step_time - state.phase
+    pace = _pace(config, _velocity_after(r, velocity, left))
+    v_end = _velocity_after(r, velocity, left / pace)
+    swing = _swing_torque(config, now, state, _landing(config, now, state, r, v_end), pace)
     jacobian = leg_jacobian(bodies, now, state.stance)
     weight = _stance_weight(config, state, qpos)
     stance = _stance_torque(config, now, state, jacobian, v_end[0] - config.speed, swing, weight)
     torque = jnp.where(jnp.arange(2)[:, None] == state.stance, stance, swing)
     target = robot.torque_as_target(torque.ravel(), now.q.ravel(), now.qdot.ravel())
-    return target.astype(jnp.float32), replace(state, phase=state.phase + dt)
+    return target.astype(jnp.float32), replace(state, phase=state.phase + pace * dt)
 
 
 def _init_robot(config: ControllerConfig, robot_now: tuple[jax.Array, BodyState]) -> ControllerState:
