@@ -54,8 +54,6 @@ class ControllerConfig:
     """Lateral distance between the feet, m."""
     gain_x: float = 0.427
     """Share of the forward velocity error that the next foothold corrects; 1 is deadbeat."""
-    gain_slow: float = 0.427
-    """The same where the robot is slower than wanted, as after a push backward."""
     gain_y: float = 0.895
     """Share of the lateral velocity error that the next foothold corrects; 1 is deadbeat."""
     line_gain: float = 0.0889
@@ -66,6 +64,8 @@ class ControllerConfig:
     """What a speed error at the end of the step adds to the pace of the clock, beyond `haste_free`, s/m."""
     haste_free: float = 0.8
     """Speed error that leaves the pace of the clock alone, m/s: more than in steady walking and in starting."""
+    haste_y: float = 0.0
+    """?"""
     haste_limit: float = 0.6
     """Largest addition to the pace of the clock."""
     reach_x: float = 0.45
@@ -126,7 +126,6 @@ COMPLIANT = ControllerConfig(
     speed=0.619,
     width=0.279,
     gain_x=0.56,
-    gain_slow=0.56,
     gain_y=0.858,
     line_gain=0.116,
     min_width=0.05,
@@ -205,6 +204,14 @@ def step(
     return _over_robots(functools.partial(_step_robot, dt=dt), config, robots)
 
 
+def planned_velocity(config: ControllerConfig, height: jax.Array, side: jax.Array) -> jax.Array:
+    """Velocity of the centre of mass, `height` over the sole, as the foot of `side` lands in steady walking, [2], m/s."""
+    omega = jnp.sqrt(GRAVITY / height)
+    # The periodic gait of width W swaps +-v_0 each step: v_0 = sigma W/2 omega tanh(omega T / 2)
+    v_0 = (1.0 - 2.0 * side) * config.width / 2 * omega * jnp.tanh(omega * config.step_time / 2)
+    return jnp.stack([jnp.asarray(config.speed, jnp.float32), v_0])
+
+
 def foot_placement(
     config: ControllerConfig, velocity: jax.Array, height: jax.Array, side: jax.Array, off_line: jax.Array
 ) -> jax.Array:
@@ -222,14 +229,10 @@ def foot_placement(
     """
     omega = jnp.sqrt(GRAVITY / height)
     cosh, sinh = jnp.cosh(omega * config.step_time), jnp.sinh(omega * config.step_time)
-    sigma = 1.0 - 2.0 * side
-    # The periodic gait of width W swaps +-v_0 each step: v_0 = sigma W/2 omega tanh(omega T / 2)
-    v_0 = sigma * config.width / 2 * omega * jnp.tanh(omega * config.step_time / 2)
+    expected = planned_velocity(config, height, side)
     back = jnp.clip(config.line_gain * off_line, -config.line_limit, config.line_limit)
-    expected = jnp.stack([jnp.asarray(config.speed, jnp.float32), v_0])
-    wanted = jnp.stack([jnp.asarray(config.speed, jnp.float32), -v_0 - back])
-    gain_x = jnp.where(velocity[0] < config.speed, config.gain_slow, config.gain_x)
-    gain = jnp.stack([gain_x, jnp.asarray(config.gain_y)])
+    wanted = expected * jnp.array([1.0, -1.0]) - jnp.stack([jnp.zeros(()), back])
+    gain = jnp.stack([jnp.asarray(config.gain_x), jnp.asarray(config.gain_y)])
     # From foothold f the next step ends at v_d = C v- - omega S f; K scales what v- differs from the plan:
     # f = (C v_plan - v_d) / (omega S) + K C / (omega S) (v- - v_plan)
     return (cosh * expected - wanted + gain * cosh * (velocity - expected)) / (omega * sinh)
@@ -261,10 +264,10 @@ def _velocity_after(r: jax.Array, velocity: jax.Array, tau: jax.Array) -> jax.Ar
     return omega * jnp.sinh(omega * tau) * r[:2] + jnp.cosh(omega * tau) * velocity
 
 
-def _pace(config: ControllerConfig, v_end: jax.Array) -> jax.Array:
-    """How fast the clock goes: 1, or more where the speed v_end [2] at the end of the step is far off."""
-    error = jnp.abs(v_end[0] - config.speed)
-    return 1 + jnp.clip(config.haste * (error - config.haste_free), 0.0, config.haste_limit)
+def _pace(config: ControllerConfig, error: jax.Array) -> jax.Array:
+    """How fast the clock goes: 1, or more where the velocity at the end of the step is off by a large error [2], m/s."""
+    distance = jnp.sqrt(error[0] ** 2 + config.haste_y * error[1] ** 2)
+    return 1 + jnp.clip(config.haste * (distance - config.haste_free), 0.0, config.haste_limit)
 
 
 def _landing(
@@ -379,7 +382,8 @@ def _step_robot(
     pivot = now.soles[state.stance]
     r = now.com - pivot
     velocity, left = _pendulum_velocity(bodies, now, pivot), config.step_time - state.phase
-    pace = _pace(config, _velocity_after(r, velocity, left))
+    planned = planned_velocity(config, r[2], 1 - state.stance)
+    pace = _pace(config, _velocity_after(r, velocity, left) - planned)
     v_end = _velocity_after(r, velocity, left / pace)
     swing = _swing_torque(config, now, state, _landing(config, now, state, r, v_end), pace)
     jacobian = leg_jacobian(bodies, now, state.stance)
