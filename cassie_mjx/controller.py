@@ -1,8 +1,9 @@
 """The heuristic walker that records the reference motion: a linear inverted pendulum, foot placement and PD loops.
 
 The idea is that of Raibert (1986) with the capture-point algebra of Koolen et al. (2012): the stance leg carries the
-body as an inverted pendulum, the swing foot lands where the next step ends at the wanted velocity, and a clock alone
-switches the legs. Every torque leaves as the PD target that makes the robot's own PD law produce it.
+body as an inverted pendulum, the swing foot lands where the next step ends at the wanted velocity, and a clock switches
+the legs, steady unless a strong push makes it hurry. Every torque leaves as the PD target that makes the robot's own PD
+law produce it.
 
 Frames: `_w` is the world; all else is the heading frame, which has its origin at the pelvis and is turned about the
 vertical by the pelvis' yaw, x forward, y left, z up. A side is 0 (left) or 1 (right).
@@ -17,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cassie_mjx import robot
+from cassie_mjx import pendulum, robot
 from cassie_mjx.kinematics import (
     ANKLE_FROM_SOLE,
     ANKLE_HEIGHT,
@@ -28,10 +29,7 @@ from cassie_mjx.kinematics import (
     sense,
     soles_w,
 )
-from cassie_mjx.model import ModelConfig, load
 from cassie_mjx.physics.types import Array, BodyState
-
-GRAVITY = 9.81
 
 SPRINGS = np.stack([robot.qpos_index(f"left-{j}", f"right-{j}") for j in ("shin", "heel-spring")], axis=1)
 # Shin and heel spring together bend by -0.128 rad under the whole weight on one leg, and by less than 5 % of that in
@@ -60,14 +58,6 @@ class ControllerConfig:
     """Lateral velocity towards the line of walking per distance from it, 1/s."""
     line_limit: float = 0.1
     """Largest lateral velocity towards the line of walking, m/s."""
-    haste: float = 0.0
-    """What a speed error at the end of the step adds to the pace of the clock, beyond `haste_free`, s/m."""
-    haste_free: float = 0.8
-    """Speed error that leaves the pace of the clock alone, m/s: more than in steady walking and in starting."""
-    haste_y: float = 0.0
-    """?"""
-    haste_limit: float = 0.6
-    """Largest addition to the pace of the clock."""
     reach_x: float = 0.45
     """Longest distance of a foothold ahead of or behind the centre of mass, m."""
     reach_y: float = 0.40
@@ -82,6 +72,12 @@ class ControllerConfig:
     """Pace of the horizontal swing: it is complete after step_time / hurry."""
     slope: float = 0.5
     """Share of the slope from the last foothold to the present one that is expected at the next."""
+    haste: tuple[float, float] = (0.3, 0.52)
+    """What errors of the velocity at the end of the step add to the pace of the clock, forward and lateral, s/m."""
+    haste_free: float = 0.24
+    """As much of that is left out: more than comes up in steady walking, whose clock is exact."""
+    haste_limit: float = 0.6
+    """Largest addition to the pace of the clock."""
     fade: float = 0.3
     """Share of the step over which the height of lift-off fades out."""
     swing_p: tuple[float, float, float, float, float] = (216.0, 100.0, 263.6, 254.6, 50.0)
@@ -132,6 +128,7 @@ COMPLIANT = ControllerConfig(
     clearance=0.136,
     press=0.0366,
     hurry=1.29,
+    haste=(0.0, 0.0),
     swing_p=tuple(robot.P_GAIN[:5].tolist()),
     swing_d=tuple(robot.D_GAIN[:5].tolist()),
     swing_feedforward=0.786,
@@ -205,8 +202,8 @@ def step(
 
 
 def planned_velocity(config: ControllerConfig, height: jax.Array, side: jax.Array) -> jax.Array:
-    """Velocity of the centre of mass, `height` over the sole, as the foot of `side` lands in steady walking, [2], m/s."""
-    omega = jnp.sqrt(GRAVITY / height)
+    """Velocity [2], m/s, of the centre of mass, `height` over the sole, as foot `side` lands in a steady walk."""
+    omega = pendulum.rate(height)
     # The periodic gait of width W swaps +-v_0 each step: v_0 = sigma W/2 omega tanh(omega T / 2)
     v_0 = (1.0 - 2.0 * side) * config.width / 2 * omega * jnp.tanh(omega * config.step_time / 2)
     return jnp.stack([jnp.asarray(config.speed, jnp.float32), v_0])
@@ -227,7 +224,7 @@ def foot_placement(
     Returns:
       Foothold (x, y), [2], m, not yet limited.
     """
-    omega = jnp.sqrt(GRAVITY / height)
+    omega = pendulum.rate(height)
     cosh, sinh = jnp.cosh(omega * config.step_time), jnp.sinh(omega * config.step_time)
     expected = planned_velocity(config, height, side)
     back = jnp.clip(config.line_gain * off_line, -config.line_limit, config.line_limit)
@@ -238,36 +235,10 @@ def foot_placement(
     return (cosh * expected - wanted + gain * cosh * (velocity - expected)) / (omega * sinh)
 
 
-@functools.cache
-def _masses() -> tuple[np.ndarray, np.ndarray]:
-    """Mass [26], kg, and principal inertia [26, 3], kg m^2, of every body."""
-    model = load(ModelConfig())
-    return model.body_mass.astype(np.float32), model.body_inertia.astype(np.float32)
-
-
-def _pendulum_velocity(bodies: BodyState, now: Sensed, pivot: jax.Array) -> jax.Array:
-    """Velocity [2] of the point mass with the robot's angular momentum about `pivot`: steadier than that of the CoM."""
-    mass, inertia = _masses()
-    omega = bodies.cvel[:, :3]
-    velocity = bodies.cvel[:, 3:] + jnp.cross(omega, bodies.xipos - bodies.com)
-    arm = bodies.xipos - now.pelvis_w - now.heading @ pivot
-    spin = jnp.einsum("bij,bj,bkj,bk->bi", bodies.ximat, inertia, bodies.ximat, omega)
-    # L = sum m_i (x_i - p) x v_i + I_i omega_i;  v = (L_y, -L_x) / (m h)
-    momentum = jnp.sum(mass[:, None] * jnp.cross(arm, velocity) + spin, axis=0) @ now.heading
-    return jnp.stack([momentum[1], -momentum[0]]) / (mass.sum() * (now.com - pivot)[2])
-
-
-def _velocity_after(r: jax.Array, velocity: jax.Array, tau: jax.Array) -> jax.Array:
-    """Velocity [2] of the pendulum in tau seconds, for its arm r [3] from the stance sole."""
-    omega = jnp.sqrt(GRAVITY / r[2])
-    # v- = omega sinh(omega tau) r + cosh(omega tau) v
-    return omega * jnp.sinh(omega * tau) * r[:2] + jnp.cosh(omega * tau) * velocity
-
-
 def _pace(config: ControllerConfig, error: jax.Array) -> jax.Array:
-    """How fast the clock goes: 1, or more where the velocity at the end of the step is off by a large error [2], m/s."""
-    distance = jnp.sqrt(error[0] ** 2 + config.haste_y * error[1] ** 2)
-    return 1 + jnp.clip(config.haste * (distance - config.haste_free), 0.0, config.haste_limit)
+    """Pace of the clock for an error [2] of the velocity at the end of the step: far off, the step ends sooner."""
+    haste = jnp.linalg.norm(jnp.stack(config.haste) * error) - config.haste_free
+    return 1 + jnp.clip(haste, 0.0, config.haste_limit)
 
 
 def _landing(
@@ -342,7 +313,7 @@ def _stance_torque(
     q, qdot = now.q[side], now.qdot[side]
     # The ground pushes along the pendulum: F = m g r / h; tau = -J F
     r = now.com - now.soles[side]
-    gravity = -jacobian @ (_masses()[0].sum() * GRAVITY * r / r[2])
+    gravity = -jacobian @ (pendulum.masses()[0].sum() * pendulum.GRAVITY * r / r[2])
     # The pitch joint's axis points to the right, against the pelvis' pitch: hence its signs.
     turn = now.angles[1] - state.line_w[2]
     turn = jnp.arctan2(jnp.sin(turn), jnp.cos(turn))
@@ -381,10 +352,10 @@ def _step_robot(
     now = sense(qpos, qvel, bodies)
     pivot = now.soles[state.stance]
     r = now.com - pivot
-    velocity, left = _pendulum_velocity(bodies, now, pivot), config.step_time - state.phase
+    velocity, left = pendulum.velocity(bodies, now, pivot), config.step_time - state.phase
     planned = planned_velocity(config, r[2], 1 - state.stance)
-    pace = _pace(config, _velocity_after(r, velocity, left) - planned)
-    v_end = _velocity_after(r, velocity, left / pace)
+    pace = _pace(config, pendulum.velocity_after(r, velocity, left) - planned)
+    v_end = pendulum.velocity_after(r, velocity, left / pace)
     swing = _swing_torque(config, now, state, _landing(config, now, state, r, v_end), pace)
     jacobian = leg_jacobian(bodies, now, state.stance)
     weight = _stance_weight(config, state, qpos)

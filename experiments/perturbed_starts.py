@@ -30,17 +30,17 @@ class PerturbedConfig:
     """Seed of the starts."""
     seconds: float = 60.0
     """Duration of the walk, s."""
-    tilt_rad: float = 0.05
+    tilt_rad: float = 0.06
     """Roll and pitch of the pelvis, and with it of the whole robot, rad."""
-    joint_rad: float = 0.05
+    joint_rad: float = 0.06
     """Angles of the ten active joints, rad."""
     drop_m: float = 0.02
     """Height of the lowest point of the feet over the floor, from 0 up, m."""
-    pelvis_mps: float = 0.2
+    pelvis_mps: float = 0.25
     """Velocity of the pelvis along each axis, m/s."""
-    pelvis_radps: float = 0.2
+    pelvis_radps: float = 0.25
     """Angular velocity of the pelvis about each axis, rad/s."""
-    joint_radps: float = 0.2
+    joint_radps: float = 0.25
     """Velocities of the ten active joints, rad/s."""
     out: str = "perturbed_starts.json"
     """Result file."""

@@ -28,7 +28,7 @@ from cassie_mjx.sweeps import PUSH_S, Subject, Trial, Walker, fallen, fly
 PHYSICS_HZ = 1000
 WARM_UP_STRIDES = 8
 # Most falls come sooner; the evaluation waits longer.
-AFTER_PUSH_S, TERRAIN_S = 3.0, 8.0
+AFTER_PUSH_S, TERRAIN_S = 3.0, 6.0
 WORST = 9.0
 
 # Step of the search for each parameter: added to it, or, for gains, the logarithm of the factor on it.
@@ -44,6 +44,8 @@ ADDED = {
     "press": 0.02,
     "hurry": 0.1,
     "slope": 0.15,
+    "haste": 0.1,
+    "haste_free": 0.05,
     "swing_feedforward": 0.2,
     "lean": 0.03,
     "height": 0.015,
@@ -60,6 +62,8 @@ SMALLEST = {
     "min_width": 0.02,
     "press": 0.0,
     "hurry": 1.0,
+    "haste": 0.0,
+    "haste_free": 0.15,
     "foot_limit": 0.0,
     "ramp": 0.002,
     "load": 0.02,
@@ -103,7 +107,7 @@ class Demand(NamedTuple):
 
 
 DEMANDS = {
-    "stiff": Demand(forward=(210, 240), backward=(280, 320, 350), left=(100, 150, 180), terrain=(0.4,)),
+    "stiff": Demand(forward=(300, 350), backward=(320, 370), left=(180, 240), terrain=(0.4,)),
     "compliant": Demand(forward=(150, 175), backward=(170, 200), left=(70, 100), terrain=(0.3,)),
 }
 # Eighths of the stride at which a trial starts. Left and right are mirror images half a stride apart, so half of them
@@ -131,7 +135,8 @@ def candidate(preset: str, x: np.ndarray) -> ControllerConfig:
     for name, steps in zip(parameters(preset), x.tolist(), strict=True):
         old = np.array(getattr(shipped, name))
         new = old + ADDED[name] * steps if name in ADDED else old * np.exp(MULTIPLIED[name] * steps)
-        changed[name] = jax.tree.map(float, tuple(new)) if new.ndim else float(max(new, SMALLEST.get(name, -np.inf)))
+        new = np.maximum(new, SMALLEST.get(name, -np.inf)).tolist()
+        changed[name] = tuple(new) if old.ndim else new
     return replace(shipped, **changed)
 
 

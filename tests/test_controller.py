@@ -71,12 +71,13 @@ def test_foot_placement_ends_the_next_step_at_the_wanted_velocity():
 
 
 def test_legs_switch_after_exactly_eleven_samples_of_32_ms(physics):
+    config = replace(STIFF, haste=(0.0, 0.0))
     state, (_, control) = ControllerSubject("stiff").stand(physics, 1)
     bodies = jax.tree.map(jnp.asarray, physics.bodies(state))
     qpos, qvel = jnp.asarray(state.qpos), jnp.asarray(state.qvel)
 
     def tick(control, _):
-        target, control = controller.step(STIFF, control, qpos, qvel, bodies, 0.001)
+        target, control = controller.step(config, control, qpos, qvel, bodies, 0.001)
         return control, (target, control.stance[0])
 
     _, (targets, stance) = jax.jit(lambda c: jax.lax.scan(tick, c, length=60000))(control)
@@ -84,6 +85,23 @@ def test_legs_switch_after_exactly_eleven_samples_of_32_ms(physics):
     assert targets.shape == (60000, 1, 10)
     # Half a step of 176 calls first, then every 352 calls, for a minute of float32 clock.
     np.testing.assert_array_equal(np.flatnonzero(np.diff(stance)) + 1, np.arange(176, 60000, 352))
+
+
+def test_the_clock_hurries_when_the_velocity_is_far_off(physics):
+    state, (config, control) = ControllerSubject("stiff").stand(physics, 1)
+    control = replace(control, phase=np.array([0.2], np.float32))
+
+    def ticked(forward, left):
+        qvel = np.zeros((1, robot.NV))
+        qvel[:, :2] = forward, left
+        moving = physics.init(state.qpos, qvel)
+        _, after = jitted_step(config, control, moving.qpos, moving.qvel, physics.bodies(moving), 0.001)
+        return float(after.phase[0] - 0.2) / 0.001
+
+    assert ticked(STIFF.speed, 0.0) == pytest.approx(1, abs=1e-3)
+    slow, slower, stopped = (ticked(-v, 0.0) for v in (1.0, 1.5, 10.0))
+    assert 1.1 < slow < slower < stopped == pytest.approx(1 + STIFF.haste_limit, abs=1e-3)
+    assert ticked(STIFF.speed, 1.0) > 1.1
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
@@ -116,8 +134,13 @@ def test_parameters_of_each_robots_own(physics, standing_qpos):
 def test_walks_from_standing_at_the_reference_pace(physics, standing_qpos, name):
     subject = ControllerSubject(name)
     walk = walked(subject, physics, nudged(subject, physics, standing_qpos, 2))
-    qpos = np.array([w.physics.qpos for w in islice(walk, 0, 10 * subject.stride_calls + 1, subject.stride_calls)])
+    strides = list(islice(walk, 0, 10 * subject.stride_calls + 1, subject.stride_calls))
+    qpos = np.array([walker.physics.qpos for walker in strides])
     assert not fallen(qpos, np.zeros(2)).any()
+    # A walk undisturbed keeps to the clock: half a step into the right leg's, as at the start.
+    for walker in strides:
+        np.testing.assert_array_equal(walker.memory.state.stance, 1)
+        np.testing.assert_allclose(walker.memory.state.phase, 0.176, atol=1e-4)
     np.testing.assert_allclose((qpos[-1, :, 0] - qpos[-2, :, 0]) / STRIDE_S, 0.7, atol=0.1)
     np.testing.assert_allclose(qpos[-1, :, 1], 0, atol=0.1)
 

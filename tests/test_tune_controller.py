@@ -31,6 +31,7 @@ def test_search_starts_at_the_shipped_preset(preset):
     nowhere = np.zeros(len(parameters(preset)))
     flat = jax.tree.leaves(candidate(preset, nowhere))
     np.testing.assert_allclose(flat, jax.tree.leaves(CONTROLLERS[preset]), rtol=1e-6)
+    assert min(candidate(preset, np.full(len(parameters(preset)), -9.0)).haste) == 0
     assert candidate("compliant", np.ones(len(parameters("compliant")))).knee_p == COMPLIANT.knee_p
     assert candidate("stiff", np.ones(len(parameters("stiff")))).knee_p > STIFF.knee_p
 
