@@ -205,7 +205,7 @@ class Evaluator:
 def main(config: TuneConfig) -> None:
     """Search, and write the best candidate with its cost beside those of the start and of the shipped preset."""
     out = cli.check_writable(config.out)
-    console = Console(stderr=True)
+    console = Console(stderr=True, soft_wrap=True)
     evaluate = Evaluator(config.preset)
     names = parameters(config.preset)
     start = np.random.default_rng(config.seed).normal(0.0, config.spread, len(names))
