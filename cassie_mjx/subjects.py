@@ -1,7 +1,8 @@
 """What can be evaluated: heuristic walkers and trained policies, each as a `Subject` of the sweeps."""
 
+from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,20 +11,20 @@ import numpy as np
 from cassie_mjx import controller, robot
 from cassie_mjx.controller import CONTROLLERS, ControllerState
 from cassie_mjx.envs import observation
-from cassie_mjx.export import NumpyPolicy, learner_policy
+from cassie_mjx.export import NumpyPolicy, find, learner_policy, shipped_policies
 from cassie_mjx.model import CONTROL_PERIOD_S, standing
 from cassie_mjx.physics.types import Array, Disturbance, Physics, PhysicsState
 from cassie_mjx.ppo import networks
 from cassie_mjx.reference import ReferenceMotion, sample
 from cassie_mjx.returns import EPISODE_STEPS, STARTS, referee, walk_returns
-from cassie_mjx.sweeps import Measured, Subject, Walker, carried, fallen
+from cassie_mjx.trials import Measured, Subject, Walker, carried, fallen
 
 CONTROLLER_PREFIX = "controller:"
 WARM_UP_STRIDES = 9
 
 
 def resolve(name: str) -> Subject:
-    """The subject of that name: "controller:NAME", a policy's .npz file, or the directory of a training run.
+    """The subject of that name: a policy that we ship or its .npz file, a training run's directory, "controller:NAME".
 
     Raises:
       ValueError: there is none.
@@ -31,9 +32,9 @@ def resolve(name: str) -> Subject:
     preset = name.removeprefix(CONTROLLER_PREFIX)
     if name.startswith(CONTROLLER_PREFIX) and preset in CONTROLLERS:
         return ControllerSubject(preset)
-    path = Path(name) / "best.npz" if Path(name).is_dir() else Path(name)
-    if not path.is_file():
-        known = ", ".join(CONTROLLER_PREFIX + known for known in CONTROLLERS)
+    path = find(name)
+    if path is None:
+        known = ", ".join([*shipped_policies(), *(CONTROLLER_PREFIX + preset for preset in CONTROLLERS)])
         raise ValueError(f"policy={name} is none of {known}, nor a policy's .npz file, nor a run's directory.")
     return PolicySubject(name, NumpyPolicy.load(path))
 
@@ -64,6 +65,7 @@ class ControllerSubject:
     def __init__(self, name: str) -> None:
         """Take the controller `name` of `CONTROLLERS`."""
         self.name = CONTROLLER_PREFIX + name
+        self.provenance: Mapping[str, Any] = {}
         self.config = CONTROLLERS[name]
         self.period_s = self.config.period
         self._step = jax.jit(controller.step)
@@ -78,7 +80,7 @@ class ControllerSubject:
         calls = first + np.round(2 * step_calls * phases).astype(int)
         return copied_along(self, physics, walker, calls)
 
-    def returns(self) -> list[Measured]:
+    def returns(self, physics: Physics, delay: int = 0) -> list[Measured]:
         """See `Subject.returns`: a controller imitates nothing, so it has none."""
         return []
 
@@ -99,7 +101,7 @@ class PolicySubject:
 
     def __init__(self, name: str, saved: NumpyPolicy) -> None:
         """Take a saved policy; raises ValueError if it was made for another layout of the observation."""
-        self.name = name
+        self.name, self.provenance = name, saved.provenance
         policy = learner_policy(saved)
         self.motion = ReferenceMotion(
             jnp.asarray(saved.reference_qpos, jnp.float32),
@@ -117,16 +119,16 @@ class PolicySubject:
         steps = samples * WARM_UP_STRIDES + np.round(samples * phases).astype(int)
         return copied_along(self, physics, walker, steps)
 
-    def returns(self) -> list[Measured]:
+    def returns(self, physics: Physics, delay: int = 0) -> list[Measured]:
         """See `Subject.returns`."""
-        figures = walk_returns(self._mode, referee(self.motion))
+        disturbance = replace(Disturbance.none(STARTS), delay=np.full(STARTS, delay, np.int32))
+        figures = walk_returns(self._mode, referee(self.motion, physics), disturbance)
         unit = f"of {EPISODE_STEPS}"
         return [Measured(name, figures[name], unit, STARTS) for name in ("return_plain", "return_weighted")]
 
     def act(self, physics: Physics, seen: PhysicsState, memory: np.ndarray) -> tuple[Array, np.ndarray]:
         """See `Subject.act`."""
-        target = self._target(seen.qpos, seen.qvel, memory)
-        return np.asarray(target, float), (memory + 1) % len(self.motion.qpos)
+        return self._target(seen.qpos, seen.qvel, memory), (memory + 1) % len(self.motion.qpos)
 
     def carried(self, memory: np.ndarray, offset: np.ndarray) -> np.ndarray:
         """See `Subject.carried`: a policy remembers no place."""

@@ -12,11 +12,11 @@ import numpy as np
 from rich.console import Console
 
 from cassie_mjx import cli
-from cassie_mjx.evaluate import DIRECTIONS, LIMIT_PHASES
 from cassie_mjx.model import WALKING_PAIRS, ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.subjects import ControllerSubject
-from cassie_mjx.sweeps import Trial, disturbances, fallen, placed
+from cassie_mjx.suites import DIRECTIONS, LIMIT_PHASES
+from cassie_mjx.trials import Trial, disturbances, fallen, placed
 
 FAR_M = 0.5
 
