@@ -3,6 +3,7 @@
 What is measured and how, `cassie_mjx.suites` says. Nothing is drawn at random: the same command gives the same figures.
 """
 
+import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -47,14 +48,17 @@ def main(config: EvaluateConfig) -> None:
     subject = subjects.resolve(config.policy)
     rows: list[dict[str, Any]] = []
     cells: dict[str, Any] = {}
+    seconds: dict[str, float] = {}
     for suite in ALL if config.suite == "all" else (config.suite,):
+        began = time.perf_counter()
         with console.status(f"{suite}: walking up to speed") as status:
             watch = partial(_show, status, suite)
             findings = SUITES[suite](subject, Setting(config.physics, config.long, watch))
+        seconds[suite] = round(time.perf_counter() - began, 1)
         rows += [{"subject": subject.name, **figure._asdict()} for figure in findings.figures]
         if findings.cells is not None:
             cells[suite] = findings.cells
-    provenance = cli.provenance(**asdict(config), subject=dict(subject.provenance))
+    provenance = cli.provenance(**asdict(config), subject=dict(subject.provenance), seconds=seconds)
     cli.write_json(out, {"rows": rows, **cells, "provenance": provenance})
     console.print(table(subject.name, rows))
 

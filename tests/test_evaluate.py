@@ -30,6 +30,7 @@ def test_the_file_has_rows_and_provenance(tmp_path, monkeypatch):
         {"subject": "controller:stiff", "quantity": "terrain_h_m", "value": 0.1, "unit": "m", "n": 8},
     ]
     assert content["provenance"]["policy"] == "controller:stiff"
+    assert list(content["provenance"]["seconds"]) == ["walk", "delay", "terrain", "push"]
 
 
 def test_cells_and_the_policys_own_provenance_go_to_the_file(tmp_path, monkeypatch):
