@@ -1,8 +1,11 @@
 """The grid on which the engines' verdicts are compared, and the comparison by hand."""
 
+import json
+
 import numpy as np
 
 from experiments import verdicts
+from experiments.verdicts import VerdictsConfig
 
 
 def test_the_grid_has_its_cells():
@@ -24,3 +27,23 @@ def test_a_border_is_where_the_next_level_has_another_verdict():
     found = verdicts.row("push", native, mjx, border)
     assert (found["cells"], found["same"], found["survived_native"], found["survived_mjx"]) == (15, 13, 10, 12)
     assert (found["differ_at_border"], found["differ_elsewhere"]) == (1, 1)
+
+
+def test_the_file_lists_what_differs(tmp_path, monkeypatch):
+    """MJX lets one robot more fall: the first group's push of 60 N, where MuJoCo C has its border."""
+
+    def survived(subject, setting, subset):
+        verdicts_of = np.ones((len(subset.trials), len(subset.trials[0])), bool)
+        if subset.kind == "push":
+            verdicts_of[0, 3 if setting.engine == "native" else 2 :] = False
+        return verdicts_of
+
+    monkeypatch.setattr(verdicts, "survived", survived)
+    verdicts.main(VerdictsConfig(policy="controller:stiff", out=str(tmp_path / "a.json")))
+    content = json.loads((tmp_path / "a.json").read_text())
+    assert [(row["kind"], row["cells"], row["same"]) for row in content["rows"]] == [
+        *(("push", 384, 383), ("terrain", 64, 64), ("delay", 80, 80), ("all", 528, 527)),
+    ]
+    assert content["rows"][-1]["differ_at_border"] == 1
+    (differing,) = content["differing"]
+    assert (differing["survived_on"], differing["at_border"], differing["trial"]["push"]) == ("native", True, [60, 0])
