@@ -158,11 +158,11 @@ def advance(subject: Subject, physics: Physics, flight: Flight) -> Flight:
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _compiled_steps(subject: Subject, physics: Physics, flight: Flight) -> Flight:
-    def going_on(carry: tuple[jax.Array, Flight]) -> jax.Array:
+    def going_on(carry: tuple[Array, Flight]) -> Array:
         steps, flight = carry
         return (steps < COMPILED_CONTROL_STEPS) & ~flight.record.over.all()
 
-    def step(carry: tuple[jax.Array, Flight]) -> tuple[jax.Array, Flight]:
+    def step(carry: tuple[Array, Flight]) -> tuple[Array, Flight]:
         steps, flight = carry
         return steps + 1, control_step(subject, physics, flight)
 

@@ -42,10 +42,13 @@ class Subject(Protocol):
     """Whatever walks: a policy, a controller."""
 
     name: str
-    provenance: Mapping[str, Any]
-    """Where it came from; empty for what this package's code alone defines."""
     period_s: float
     """Time between two acts, s: 0.032 or a whole fraction of it."""
+
+    @property
+    def provenance(self) -> Mapping[str, Any]:
+        """Where it came from; empty for what this package's code alone defines."""
+        ...
 
     def start(self, physics: Physics, phases: np.ndarray) -> Walker:
         """Robots in steady walking along +x, with the pelvis at x = 0, at `phases` [B] of the stride, 0 to 1."""

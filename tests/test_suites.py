@@ -24,7 +24,7 @@ class Settled(Setting):
         return physics
 
     def starts(self, subject, phases, longest_delay_s=0.0):
-        return subject.start(None, phases)
+        return subject.start(points(), phases)
 
 
 class Imitating(Still):
