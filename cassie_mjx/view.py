@@ -125,10 +125,10 @@ def main(config: ViewConfig) -> None:
         check_screen()
     live = Live(subjects.resolve(config.policy), config.terrain)
     try:
-        viewer = mujoco.viewer.launch_passive(live.model, live.data, show_left_ui=False, show_right_ui=False)
+        window = mujoco.viewer.launch_passive(live.model, live.data, show_left_ui=False, show_right_ui=False)
     except RuntimeError as error:
         raise ValueError(f"The viewer does not start: {error}; on macOS use mjpython in place of python.") from error
-    with viewer:
+    with window as viewer:
         with viewer.lock():
             viewer.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
             viewer.cam.trackbodyid = viewer.perturb.select = robot.PELVIS_BODY

@@ -2,7 +2,9 @@
 
 import contextlib
 from types import SimpleNamespace
+from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from subject import Swaying
@@ -85,6 +87,27 @@ def test_a_fallen_robot_starts_anew_after_a_second(clock):
     np.testing.assert_array_equal(live.data.qpos, start)
     assert not live.fallen
     assert not live.data.xfrc_applied.any()
+
+
+def test_the_window_follows_the_pelvis_and_has_it_selected(monkeypatch, clock):
+    opened = []
+
+    def launch(model, data, **how):
+        live = SimpleNamespace(data=data)
+        window: Any = Window(live, 3)
+        window.cam, window.perturb, window.opt = mujoco.MjvCamera(), mujoco.MjvPerturb(), mujoco.MjvOption()
+        opened.append(window)
+        return contextlib.nullcontext(window)
+
+    monkeypatch.setattr(view, "check_screen", lambda: None)
+    monkeypatch.setattr(view.mujoco.viewer, "launch_passive", launch)
+    monkeypatch.setattr(view.subjects, "resolve", lambda name: Swaying())
+    view.main(ViewConfig())
+    (window,) = opened
+    assert window.cam.type == mujoco.mjtCamera.mjCAMERA_TRACKING
+    assert window.cam.trackbodyid == window.perturb.select == robot.PELVIS_BODY
+    assert window.opt.flags[mujoco.mjtVisFlag.mjVIS_PERTFORCE]
+    assert not window.is_running()
 
 
 def test_without_a_screen_there_is_one_sentence(monkeypatch):
