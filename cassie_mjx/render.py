@@ -11,10 +11,9 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import closing
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import imageio_ffmpeg
 import mujoco
@@ -29,19 +28,16 @@ from cassie_mjx.model import ModelConfig, set_terrain, xml_path
 from cassie_mjx.sweeps import Trial
 
 CAMERAS = ("three-quarter", "side", "front")
+# A camera follows a falling robot down, but not into the ground.
+LOWEST_CAMERA_M = 0.25
 # A push of 100 N is an arrow of 0.3 m; its head ends at the pelvis' skin, not at the centre of mass.
 ARROW_M_PER_N, ARROW_RADIUS_M, ARROW_GAP_M = 0.003, 0.02, 0.14
 ARROW_RGBA = np.array([0.85, 0.1, 0.1, 1.0], np.float32)
 
-# What ffmpeg needs besides the frames. A GIF gets a palette of its own colours, and no dithering, which would flicker.
-FORMATS: dict[str, dict[str, Any]] = {
-    ".mp4": {"codec": "libx264", "quality": 7, "output_params": ["-f", "mp4", "-movflags", "+faststart"]},
-    ".gif": {
-        "codec": "gif",
-        "quality": None,
-        "pix_fmt_out": "pal8",
-        "output_params": ["-vf", "split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=none", "-f", "gif"],
-    },
+# How ffmpeg encodes. A GIF gets a palette of its own colours, and no dithering, which would flicker.
+ENCODINGS = {
+    ".mp4": ["-c:v", "libx264", "-crf", "18", "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"],
+    ".gif": ["-vf", "split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=none", "-f", "gif"],
 }
 # Browsers slow a GIF down whose frames last less than 0.02 s.
 FASTEST_GIF = 50
@@ -83,7 +79,7 @@ class RenderConfig:
         """Raise ValueError for a film that cannot be made."""
         suffix, step_ms = Path(self.out).suffix, 1000 / ModelConfig().physics_hz
         for name, valid, hint in (
-            ("out", suffix in FORMATS, f"name a file that ends in {' or '.join(FORMATS)}"),
+            ("out", suffix in ENCODINGS, f"name a file that ends in {' or '.join(ENCODINGS)}"),
             ("seconds", 0 < self.seconds < math.inf, "use a duration above 0 s"),
             ("phase", 0 <= self.phase <= 1, "use a share of the stride from 0 to 1"),
             ("push", len(self.push) == 2 and np.isfinite(self.push).all(), "name two forces in N, such as push=0,50"),
@@ -147,12 +143,21 @@ def open_renderer(scene: mujoco.MjModel, width: int, height: int) -> mujoco.Rend
     return mujoco.Renderer(scene, height, width)
 
 
-def draw(renderer: mujoco.Renderer, camera: str, shots: Iterable[Shot]) -> Iterator[np.ndarray]:
-    """Frames [height, width, 3], uint8, of the shots; a push is an arrow whose head is at the pelvis."""
+def draw(renderer: mujoco.Renderer, shots: Iterable[Shot], camera: str, terrain: float = 0.0) -> Iterator[np.ndarray]:
+    """Frames [height, width, 3], uint8, of the shots; a push is an arrow whose head is at the pelvis.
+
+    Args:
+      renderer: of the scene of that terrain.
+      shots: what to draw.
+      camera: one of `CAMERAS`.
+      terrain: height h of the terrain z = h sin x, m.
+    """
     data = mujoco.MjData(renderer.model)
     for shot in shots:
         data.qpos[:] = shot.qpos
         mujoco.mj_forward(renderer.model, data)
+        lowest = terrain * np.sin(data.cam_xpos[:, 0]) + LOWEST_CAMERA_M
+        data.cam_xpos[:, 2] = np.maximum(data.cam_xpos[:, 2], lowest)
         renderer.update_scene(data, camera)
         if shot.push_w.any():
             _add_arrow(renderer.scene, data.xipos[robot.PELVIS_BODY], shot.push_w)
@@ -172,12 +177,15 @@ def _add_arrow(scene: mujoco.MjvScene, pelvis: np.ndarray, push: np.ndarray) -> 
 def write_video(path: Path, frames: Iterable[np.ndarray], width: int, height: int, fps: float) -> None:
     """Write frames [height, width, 3], uint8, whole or not at all, in the format that the suffix of `path` names."""
     partial = path.with_name(path.name + ".partial")
-    settings = {"fps": fps, "macro_block_size": 2, "ffmpeg_log_level": "error", **FORMATS[path.suffix]}
+    source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {fps} -i -".split()
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *source, *ENCODINGS[path.suffix], str(partial)]
     try:
-        with closing(imageio_ffmpeg.write_frames(partial, (width, height), **settings)) as video:
-            video.send(None)
+        with suppress(BrokenPipeError), subprocess.Popen(command, stdin=subprocess.PIPE) as ffmpeg:
+            assert ffmpeg.stdin
             for frame in frames:
-                video.send(frame)
+                ffmpeg.stdin.write(frame)
+        if ffmpeg.returncode:
+            raise OSError(f"{path} has not been written: ffmpeg failed with status {ffmpeg.returncode}.")
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
@@ -191,7 +199,8 @@ def main(config: RenderConfig) -> None:
         with console.status("walking"):
             shots = list(film(subject, config.trial, config.phase, config.push_at, config.fps))
         drawn = track(shots, "drawing", console=console, transient=True)
-        write_video(out, draw(renderer, config.camera, drawn), config.width, config.height, config.fps)
+        frames = draw(renderer, drawn, config.camera, config.terrain)
+        write_video(out, frames, config.width, config.height, config.fps)
     fell_s = shots[-1].fell_s
     console.print(f"{out}: {subject.name} {'stayed up' if fell_s is None else f'fell after {fell_s:.2f} s'}.")
 

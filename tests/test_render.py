@@ -29,7 +29,7 @@ def drawing():
 def picture(qpos, camera="three-quarter", push=(0.0, 0.0, 0.0), terrain=0.0):
     shot = Shot(0.0, qpos, np.array(push), None)
     with render.open_renderer(render.load_scene(terrain), WIDTH, HEIGHT) as renderer:
-        return next(render.draw(renderer, camera, [shot])).astype(int)
+        return next(render.draw(renderer, [shot], camera, terrain)).astype(int)
 
 
 def differing(a, b):
@@ -48,6 +48,16 @@ def test_the_camera_follows(drawing, standing_qpos, camera):
     half = standing_qpos.copy()
     half[0] += FLOOR_PERIOD_M / 2
     assert differing(here, picture(half, camera)) > 0.1
+
+
+@pytest.mark.parametrize("camera", render.CAMERAS)
+def test_the_camera_stays_above_the_ground(drawing, standing_qpos, camera):
+    """Over the robot there is sky, also when it lies on the ground; seen from below, the sky is under it."""
+    lying = standing_qpos.copy()
+    lying[2] -= 0.8
+    image = picture(lying, camera)
+    blue = image[..., 2] - image[..., 0]
+    assert blue[0].min() > 30 > blue[-1].max()
 
 
 def test_the_views_differ(drawing, standing_qpos):
@@ -114,6 +124,14 @@ def test_a_failing_film_leaves_what_was_there(tmp_path):
     with pytest.raises(ValueError, match="the film tore"):
         render.write_video(tmp_path / "a.mp4", frames(), 48, 32, 25.0)
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.mp4", "precious")]
+
+
+def test_an_encoder_that_fails_is_noticed(tmp_path, monkeypatch):
+    (tmp_path / "a.gif").write_text("precious")
+    monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: "false")
+    with pytest.raises(OSError, match=r"a\.gif has not been written: ffmpeg failed with status 1\."):
+        render.write_video(tmp_path / "a.gif", 100 * [np.zeros((32, 48, 3), np.uint8)], 48, 32, 25.0)
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.gif", "precious")]
 
 
 @pytest.mark.parametrize(("hold", "end"), [(1.0, "swaying stayed up"), (0.0, "swaying fell after 0.")])

@@ -15,7 +15,7 @@ from cassie_mjx.sweeps import Trial
 from cassie_mjx.view import Live, ViewConfig
 
 
-class Window:
+class _Window:
     """What `view.run` needs of MuJoCo's viewer: it lives for some syncs, and pushes the pelvis sideways."""
 
     def __init__(self, live, syncs, push=0.0):
@@ -36,6 +36,11 @@ class Window:
         self.heights.append(self.live.data.qpos[2])
         self.times.append(self.live.data.time)
         self.live.data.xfrc_applied[robot.PELVIS_BODY, 1] = self.push
+
+
+def window_of(live, syncs, push=0.0) -> Any:
+    """The window, typed as any."""
+    return _Window(live, syncs, push)
 
 
 @pytest.fixture
@@ -62,7 +67,7 @@ def test_the_robot_steps_as_in_the_physics_of_the_sweeps(period_s, terrain):
 
 def test_the_loop_keeps_real_time_and_says_so(clock):
     live = Live(Swaying())
-    window = Window(live, 50)
+    window = window_of(live, 50)
     view.run(window, live)
     np.testing.assert_allclose(live.data.time, 50 * 0.016)
     np.testing.assert_allclose(clock.now, 100 + 50 * 0.016)
@@ -71,15 +76,15 @@ def test_the_loop_keeps_real_time_and_says_so(clock):
 
 def test_the_mouse_moves_the_robot(clock):
     still, pushed = Live(Swaying()), Live(Swaying())
-    view.run(Window(still, 20), still)
-    view.run(Window(pushed, 20, push=60.0), pushed)
+    view.run(window_of(still, 20), still)
+    view.run(window_of(pushed, 20, push=60.0), pushed)
     assert pushed.data.qpos[1] > still.data.qpos[1] + 0.01
 
 
 def test_a_fallen_robot_starts_anew_after_a_second(clock):
     live = Live(Swaying(hold=0.0))
     start = live.data.qpos.copy()
-    window = Window(live, 200)
+    window = window_of(live, 200)
     view.run(window, live)
     fell, again = np.argmax(np.array(window.heights) < 0.6), np.argmin(np.diff(window.times)) + 1
     np.testing.assert_allclose(0.016 * (again - fell), 1.0, atol=0.017)
@@ -94,7 +99,7 @@ def test_the_window_follows_the_pelvis_and_has_it_selected(monkeypatch, clock):
 
     def launch(model, data, **how):
         live = SimpleNamespace(data=data)
-        window: Any = Window(live, 3)
+        window = window_of(live, 3)
         window.cam, window.perturb, window.opt = mujoco.MjvCamera(), mujoco.MjvPerturb(), mujoco.MjvOption()
         opened.append(window)
         return contextlib.nullcontext(window)
