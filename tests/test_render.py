@@ -14,7 +14,7 @@ from cassie_mjx.film import Shot
 from cassie_mjx.render import RenderConfig
 
 WIDTH, HEIGHT = 192, 128
-FLOOR_PERIOD_M = 0.5
+FLOOR_PERIOD_M = 1.0
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def differing(a, b):
 @pytest.mark.parametrize("camera", render.CAMERAS)
 def test_the_camera_follows(drawing, standing_qpos, camera):
     along = standing_qpos.copy()
-    along[0] += 40 * FLOOR_PERIOD_M
+    along[0] += 20 * FLOOR_PERIOD_M
     here, there = picture(standing_qpos, camera), picture(along, camera)
     assert here.shape == (HEIGHT, WIDTH, 3)
     assert here.std() > 10
