@@ -8,6 +8,7 @@ import sys
 import time
 import warnings
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 
 import glfw
@@ -120,7 +121,7 @@ def check_screen() -> None:
 
 
 def main(config: ViewConfig) -> None:
-    """Open the viewer, and walk."""
+    """Open the viewer, and walk until its window is closed or Ctrl-C is typed."""
     if sys.platform != "darwin":
         check_screen()
     live = Live(subjects.resolve(config.policy), config.terrain)
@@ -128,7 +129,7 @@ def main(config: ViewConfig) -> None:
         window = mujoco.viewer.launch_passive(live.model, live.data, show_left_ui=False, show_right_ui=False)
     except RuntimeError as error:
         raise ValueError(f"The viewer does not start: {error}; on macOS use mjpython in place of python.") from error
-    with window as viewer:
+    with window as viewer, suppress(KeyboardInterrupt):
         with viewer.lock():
             viewer.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
             viewer.cam.trackbodyid = viewer.perturb.select = robot.PELVIS_BODY
