@@ -10,7 +10,7 @@ import numpy as np
 from cassie_mjx import robot
 from cassie_mjx.model import ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.sweeps import PUSH_S, Subject, Trial, Walker, decide, disturbances, fallen, placed
+from cassie_mjx.trials import PUSH_S, Subject, Trial, Walker, decide, disturbances, fallen, placed
 
 # A film goes on for so long after a fall.
 AFTER_FALL_S = 1.0

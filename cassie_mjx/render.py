@@ -1,4 +1,4 @@
-"""A walk as a video: `python -m cassie_mjx.render policy=controller:compliant out=walk.mp4`.
+"""A walk as a video: `python -m cassie_mjx.render policy=1x out=walk.mp4`.
 
 What is filmed is a trial as `cassie_mjx.evaluate` measures it: MuJoCo C at 2 kHz, from steady walking. No screen is
 needed: EGL draws, or OSMesa where EGL does not work.
@@ -25,7 +25,7 @@ from rich.progress import track
 from cassie_mjx import cli, robot, subjects
 from cassie_mjx.film import Shot, film
 from cassie_mjx.model import ModelConfig, set_terrain, xml_path
-from cassie_mjx.sweeps import Trial
+from cassie_mjx.trials import Trial
 
 CAMERAS = ("three-quarter", "side", "front")
 # A camera follows a falling robot down, but not into the ground.
@@ -50,7 +50,7 @@ _PROBE = "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco
 class RenderConfig:
     """What to film."""
 
-    policy: str = "controller:compliant"
+    policy: str = "1x"
     """What walks, as in `cassie_mjx.evaluate`."""
     out: str = "walk.mp4"
     """Video file, .mp4 or .gif."""

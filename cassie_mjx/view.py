@@ -1,4 +1,4 @@
-"""A walk to push about in: `python -m cassie_mjx.view policy=controller:compliant` opens MuJoCo's interactive viewer.
+"""A walk to push about in: `python -m cassie_mjx.view policy=1x` opens MuJoCo's interactive viewer.
 
 The pelvis is selected; dragging with Ctrl and the right mouse button pushes it, a double click selects another part. A
 robot that has fallen starts anew, in steady walking.
@@ -21,7 +21,7 @@ from cassie_mjx.film import AFTER_FALL_S, begin
 from cassie_mjx.model import servo_model
 from cassie_mjx.physics.types import Disturbance, PhysicsState
 from cassie_mjx.render import load_scene
-from cassie_mjx.sweeps import Subject, Trial, Walker, decide, fallen
+from cassie_mjx.trials import Subject, Trial, Walker, decide, fallen
 
 # The viewer takes over state and mouse force so often.
 SYNC_S = 0.016
@@ -32,7 +32,7 @@ SPEED_WINDOW_S = 1.0
 class ViewConfig:
     """What to watch."""
 
-    policy: str = "controller:compliant"
+    policy: str = "1x"
     """What walks, as in `cassie_mjx.evaluate`."""
     terrain: float = 0.0
     """Height h of the terrain z = h sin x, m; above 0 the robot starts on a crest."""

@@ -4,7 +4,7 @@ import numpy as np
 
 from cassie_mjx import robot
 from cassie_mjx.model import standing
-from cassie_mjx.sweeps import Walker
+from cassie_mjx.trials import Walker
 
 
 class Swaying:
@@ -13,14 +13,14 @@ class Swaying:
     name = "swaying"
 
     def __init__(self, period_s=0.032, hold=1.0):
-        self.period_s, self.hold = period_s, hold
+        self.provenance, self.period_s, self.hold = {}, period_s, hold
 
     def start(self, physics, phases):
         qpos = np.tile(standing(physics.model), (len(phases), 1))
         qvel = np.full((len(phases), robot.NV), 0.02)
         return Walker(physics.init(qpos, qvel), np.zeros(len(phases)))
 
-    def returns(self):
+    def returns(self, physics, delay=0):
         return []
 
     def act(self, physics, seen, memory):

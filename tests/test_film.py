@@ -7,7 +7,8 @@ from subject import Swaying
 from cassie_mjx.film import film
 from cassie_mjx.model import ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.sweeps import Trial, fly, placed
+from cassie_mjx.sweeps import fly
+from cassie_mjx.trials import Trial, placed
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from subject import Swaying
 
 from cassie_mjx import cli, robot, view
 from cassie_mjx.film import film
-from cassie_mjx.sweeps import Trial
+from cassie_mjx.trials import Trial
 from cassie_mjx.view import Live, ViewConfig
 
 
