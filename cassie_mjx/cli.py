@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_origin
 
 import jax
 from omegaconf import OmegaConf
@@ -22,7 +22,7 @@ C = TypeVar("C")
 
 
 def parse(config_class: type[C], arguments: Sequence[str]) -> C:
-    """Read `key=value` arguments into the frozen dataclass `config_class`.
+    """Read `key=value` arguments into the frozen dataclass `config_class`; a tuple is `key=1,2` or `key=[1,2]`.
 
     Raises:
       ValueError: an argument that is not `key=value`, an unknown key, or a value of the wrong type.
@@ -34,14 +34,21 @@ def parse(config_class: type[C], arguments: Sequence[str]) -> C:
             raise ValueError(f"{argument!r} is not of the form key=value; the keys are {valid}.")
         if key not in valid.split(", "):
             raise ValueError(f"{key!r} is not a key; the keys are {valid}.")
+    tuples = {field.name for field in fields(config_class) if get_origin(field.type) is tuple}  # type: ignore[arg-type]
+    dotlist = [_bracketed(argument) if argument.partition("=")[0] in tuples else argument for argument in arguments]
     try:
-        merged = OmegaConf.merge(OmegaConf.structured(config_class), OmegaConf.from_dotlist(list(arguments)))
+        merged = OmegaConf.merge(OmegaConf.structured(config_class), OmegaConf.from_dotlist(dotlist))
         config: Any = OmegaConf.to_object(merged)
     except OmegaConfBaseException as error:
         raise ValueError(f"{' '.join(arguments)}: {str(error).splitlines()[0]}.") from error
     # OmegaConf reads a tuple as a list.
     sequences = {f.name: tuple(v) for f in fields(config) if isinstance(v := getattr(config, f.name), list)}
     return replace(config, **sequences)
+
+
+def _bracketed(argument: str) -> str:
+    key, _, value = argument.partition("=")
+    return argument if value.startswith("[") else f"{key}=[{value}]"
 
 
 def run(main: Callable[[C], None], config_class: type[C]) -> None:

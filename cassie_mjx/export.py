@@ -6,6 +6,7 @@ joint names, gains and the layout of the observation. Nothing in it is pickled. 
 
 import json
 import os
+import re
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from cassie_mjx.ppo.types import Policy
     from cassie_mjx.reference import ReferenceMotion
 
+FOLDER = Path(__file__).parent / "policies"
 FORMAT = "cassie-mjx policy"
 VERSION = 1
 CHOICES = ("best", "last")
@@ -96,15 +98,23 @@ class NumpyPolicy:
           ValueError: the file is missing, damaged, of another format, or its parts do not fit together.
         """
         content = _read(Path(path))
-        layers = range(int(content["layers"]))
-        fields: dict[str, Any] = {name: content[name] for name in _ARRAYS}
-        fields |= {name: float(content[name]) for name in _NUMBERS}
-        fields |= {name: tuple(content[name].tolist()) for name in _LISTS}
-        fields["weights"] = tuple((content[f"weight_{i}"], content[f"bias_{i}"]) for i in layers)
-        fields["provenance"] = json.loads(str(content["provenance"]))
-        policy = cls(**fields)
+        try:
+            policy = cls(**_fields(content))
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path} is damaged: a part of it is not of its kind ({error}).") from error
         _check_fit(policy, Path(path))
         return policy
+
+
+def shipped_policies() -> dict[str, Path]:
+    """Files of the trained policies that come with the package, by name."""
+    return {path.stem: path for path in sorted(FOLDER.glob("*.npz"))}
+
+
+def find(name: str) -> Path | None:
+    """The policy we ship as `name`, the file `name`, or the best policy of the run in that directory; None if none."""
+    path = Path(name) / "best.npz" if Path(name).is_dir() else Path(name)
+    return shipped_policies().get(name) or (path if path.is_file() else None)
 
 
 def save_policy(
@@ -163,10 +173,11 @@ def learner_policy(saved: NumpyPolicy) -> "Policy":
     """The same policy for `ppo.networks`: to be evaluated on an accelerator, or trained further.
 
     Raises:
-      ValueError: it was trained on another layout of the observation than this version's.
+      ValueError: it was trained on another layout of the observation, or for another robot, than this version's.
     """
     import jax.numpy as jnp
 
+    from cassie_mjx import robot
     from cassie_mjx.envs import observation
     from cassie_mjx.ppo.types import Normalizer, Policy
 
@@ -175,6 +186,12 @@ def learner_policy(saved: NumpyPolicy) -> "Policy":
         raise ValueError(
             f"The policy observes {'; '.join(differing) or len(saved.observation)}, which this version's observation "
             "has not; use the version it was trained with, named in its provenance."
+        )
+    stride = saved.reference_qpos.shape[1:], saved.reference_qvel.shape[1:]
+    if saved.joints != robot.ACTUATORS or stride != ((robot.NQ,), (robot.NV,)):
+        raise ValueError(
+            "The policy drives joints or imitates a motion that this version's robot has not; use the version it was "
+            "trained with, named in its provenance."
         )
     names = [*(f"hidden_{i}" for i in range(len(saved.weights) - 1)), "output"]
     layers = [{"kernel": jnp.asarray(weight), "bias": jnp.asarray(bias)} for weight, bias in saved.weights]
@@ -203,20 +220,34 @@ def _read(path: Path) -> dict[str, np.ndarray]:
     return content
 
 
+def _fields(content: dict[str, np.ndarray]) -> dict[str, Any]:
+    """What the arrays of a file mean, by the names of `NumpyPolicy`."""
+    fields: dict[str, Any] = {name: content[name] for name in _ARRAYS}
+    fields |= {name: float(content[name]) for name in _NUMBERS}
+    fields |= {name: tuple(content[name].tolist()) for name in _LISTS}
+    fields["weights"] = tuple((content[f"weight_{i}"], content[f"bias_{i}"]) for i in range(int(content["layers"])))
+    fields["provenance"] = json.loads(str(content["provenance"]))
+    return fields
+
+
 def _check_fit(policy: NumpyPolicy, path: Path) -> None:
     """Raise ValueError unless the parts of a policy have sizes that fit together."""
-    inputs = int(policy.observation[-1].split()[0].split(":")[1]) if policy.observation else 0
-    widths = [inputs, *(len(bias) for _, bias in policy.weights)]
-    shapes = pairwise(widths)
+    last = re.match(r"\d+:(\d+) ", policy.observation[-1]) if policy.observation else None
+    widths = [int(last[1]) if last else 0, *(bias.size for _, bias in policy.weights)]
+    inputs, outputs = widths[0], widths[-1]
+    layers = list(zip(policy.weights, pairwise(widths), strict=True))
     for name, array, shape in (
         ("mean", policy.mean, (inputs,)),
         ("std", policy.std, (inputs,)),
-        *((f"weight_{i}", weight, next(shapes)) for i, (weight, _) in enumerate(policy.weights)),
+        *((f"weight_{i}", weight, shape) for i, ((weight, _), shape) in enumerate(layers)),
+        *((f"bias_{i}", bias, shape[1:]) for i, ((_, bias), shape) in enumerate(layers)),
+        ("p_gain", policy.p_gain, (outputs,)),
+        ("d_gain", policy.d_gain, (outputs,)),
     ):
         if array.shape != shape:
             raise ValueError(f"{path} does not fit together: {name} has shape {array.shape} instead of {shape}.")
-    if widths[-1] != len(policy.joints):
-        raise ValueError(f"{path} does not fit together: {widths[-1]} outputs for {len(policy.joints)} joints.")
+    if outputs != len(policy.joints):
+        raise ValueError(f"{path} does not fit together: {outputs} outputs for {len(policy.joints)} joints.")
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """From MJCF to compiled models: which scene, rate and contacts, for MuJoCo C and for MJX."""
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -57,6 +57,8 @@ def steps_per_control(physics_hz: float) -> int:
 MJX_TRAINING = ModelConfig(physics_hz=1000, contacts="walking", iterations=4, ls_iterations=6)
 """What MJX trains on. By `experiments.solver` one iteration diverges; from two on the loops hold as in MuJoCo C. The
 solver stops once it has converged, so the bounds of 4 and 6 leave a margin at hardly a cost."""
+MJX_TESTING = replace(MJX_TRAINING, physics_hz=2000, contacts="referee")
+"""What MJX tests on: the referee's rate and contacts."""
 
 
 def xml_path(scene: str = "flat") -> Path:

@@ -9,7 +9,7 @@ import numpy as np
 from cassie_mjx.envs.walk import WalkConfig, WalkEnv
 from cassie_mjx.model import ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.physics.types import Disturbance, Physics
 from cassie_mjx.reference import ReferenceMotion
 
 STARTS = 10
@@ -19,18 +19,24 @@ Act = Callable[[Any], Any]
 """A deterministic policy: observation [B, 80] to action [B, 10]."""
 
 
-def referee(motion: ReferenceMotion) -> WalkEnv:
-    """The task that returns are measured on: MuJoCo C at 2 kHz, ten robots, an episode ended by a fall alone."""
+def referee(motion: ReferenceMotion, physics: Physics | None = None) -> WalkEnv:
+    """The task that returns are measured on: ten robots, an episode ended by a fall alone.
+
+    Args:
+      motion: what to imitate.
+      physics: the engine; MuJoCo C at 2 kHz unless given.
+    """
     config = WalkConfig(early_end_reward=None, episode_steps=EPISODE_STEPS)
-    return WalkEnv(NativePhysics(load(ModelConfig(physics_hz=2000))), motion, config, STARTS)
+    return WalkEnv(physics or NativePhysics(load(ModelConfig(physics_hz=2000))), motion, config, STARTS)
 
 
-def walk_returns(act: Act, env: WalkEnv) -> dict[str, float]:
+def walk_returns(act: Act, env: WalkEnv, disturbance: Disturbance | None = None) -> dict[str, float]:
     """Walk one episode from each of the phases k/B of the stride; rewards after a fall are 0.
 
     Args:
       act: the policy.
       env: B robots of an environment whose episodes only a fall or the time limit ends (`referee`).
+      disturbance: what the robots walk under from the first step on; nothing unless given.
 
     Returns:
       Means over the B starts: `return_plain`, `return_weighted`, and `steps` survived, of `env.config.episode_steps`.
@@ -41,7 +47,7 @@ def walk_returns(act: Act, env: WalkEnv) -> dict[str, float]:
     if env.config.early_end_reward is not None:
         raise ValueError("Returns are measured without an early end; make the environment with early_end_reward=None.")
     phase = np.round(np.arange(env.robots) * env.samples / env.robots).astype(np.int32) % env.samples
-    state = env.reset_at(phase, Disturbance.none(env.robots))
+    state = env.reset_at(phase, disturbance or Disturbance.none(env.robots))
     walking = np.ones(env.robots, bool)
     phase_key = jax.random.key(0)  # of robots that walk on after a fall, which count no more
     sums = {

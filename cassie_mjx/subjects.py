@@ -1,10 +1,9 @@
 """What can be evaluated: heuristic walkers and trained policies, each as a `Subject` of the sweeps."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,20 +12,20 @@ import numpy as np
 from cassie_mjx import controller, robot
 from cassie_mjx.controller import CONTROLLERS, ControllerConfig, ControllerState
 from cassie_mjx.envs import observation
-from cassie_mjx.export import NumpyPolicy, learner_policy
+from cassie_mjx.export import NumpyPolicy, find, learner_policy, shipped_policies
 from cassie_mjx.model import CONTROL_PERIOD_S, standing
 from cassie_mjx.physics.types import Array, BodyState, Disturbance, Physics, PhysicsState
 from cassie_mjx.ppo import networks
 from cassie_mjx.reference import ReferenceMotion, sample
 from cassie_mjx.returns import EPISODE_STEPS, STARTS, referee, walk_returns
-from cassie_mjx.sweeps import Measured, Subject, Walker, carried, fallen
+from cassie_mjx.trials import Measured, Subject, Walker, carried, decide, fallen
 
 CONTROLLER_PREFIX = "controller:"
 WARM_UP_STRIDES = 9
 
 
 def resolve(name: str) -> Subject:
-    """The subject of that name: "controller:NAME", a policy's .npz file, or the directory of a training run.
+    """The subject of that name: a policy that we ship or its .npz file, a training run's directory, "controller:NAME".
 
     Raises:
       ValueError: there is none.
@@ -34,9 +33,9 @@ def resolve(name: str) -> Subject:
     preset = name.removeprefix(CONTROLLER_PREFIX)
     if name.startswith(CONTROLLER_PREFIX) and preset in CONTROLLERS:
         return ControllerSubject(preset)
-    path = Path(name) / "best.npz" if Path(name).is_dir() else Path(name)
-    if not path.is_file():
-        known = ", ".join(CONTROLLER_PREFIX + known for known in CONTROLLERS)
+    path = find(name)
+    if path is None:
+        known = ", ".join([*shipped_policies(), *(CONTROLLER_PREFIX + preset for preset in CONTROLLERS)])
         raise ValueError(f"policy={name} is none of {known}, nor a policy's .npz file, nor a run's directory.")
     return PolicySubject(name, NumpyPolicy.load(path))
 
@@ -49,9 +48,7 @@ def walked(
     act_steps = round(subject.period_s / physics.model.opt.timestep)
     while True:
         yield walker
-        target, memory = subject.act(physics, walker.physics, walker.memory)
-        # What a robot with NaN in its state wants does not matter any more.
-        target = np.nan_to_num(np.asarray(target, float))
+        target, memory = decide(subject, physics, walker, disturbance)
         walker = Walker(physics.advance(walker.physics, target, disturbance, act_steps), memory)
 
 
@@ -96,6 +93,7 @@ class ControllerSubject:
           config: other parameters than the preset's; leaves [B] for the B robots of `begin`, or [].
         """
         self.name = CONTROLLER_PREFIX + name
+        self.provenance: Mapping[str, Any] = {}
         preset = CONTROLLERS[name]
         self.config = config or preset
         self.period_s = preset.period
@@ -120,7 +118,7 @@ class ControllerSubject:
         calls = self.calls_before(WARM_UP_STRIDES) + np.round(self.stride_calls * phases).astype(int)
         return copied_along(self, physics, self.stand(physics, 1), calls)
 
-    def returns(self) -> list[Measured]:
+    def returns(self, physics: Physics, delay: int = 0) -> list[Measured]:
         """See `Subject.returns`: a controller imitates nothing, so it has none."""
         return []
 
@@ -150,7 +148,7 @@ class PolicySubject:
 
     def __init__(self, name: str, saved: NumpyPolicy) -> None:
         """Take a saved policy; raises ValueError if it was made for another layout of the observation."""
-        self.name = name
+        self.name, self.provenance = name, saved.provenance
         policy = learner_policy(saved)
         self.motion = ReferenceMotion(
             jnp.asarray(saved.reference_qpos, jnp.float32),
@@ -168,16 +166,16 @@ class PolicySubject:
         steps = samples * WARM_UP_STRIDES + np.round(samples * phases).astype(int)
         return copied_along(self, physics, walker, steps)
 
-    def returns(self) -> list[Measured]:
+    def returns(self, physics: Physics, delay: int = 0) -> list[Measured]:
         """See `Subject.returns`."""
-        figures = walk_returns(self._mode, referee(self.motion))
+        disturbance = replace(Disturbance.none(STARTS), delay=np.full(STARTS, delay, np.int32))
+        figures = walk_returns(self._mode, referee(self.motion, physics), disturbance)
         unit = f"of {EPISODE_STEPS}"
         return [Measured(name, figures[name], unit, STARTS) for name in ("return_plain", "return_weighted")]
 
     def act(self, physics: Physics, seen: PhysicsState, memory: np.ndarray) -> tuple[Array, np.ndarray]:
         """See `Subject.act`."""
-        target = self._target(seen.qpos, seen.qvel, memory)
-        return np.asarray(target, float), (memory + 1) % len(self.motion.qpos)
+        return self._target(seen.qpos, seen.qvel, memory), (memory + 1) % len(self.motion.qpos)
 
     def carried(self, memory: np.ndarray, offset: np.ndarray) -> np.ndarray:
         """See `Subject.carried`: a policy remembers no place."""

@@ -16,7 +16,8 @@ from cassie_mjx.controller import CONTROLLERS
 from cassie_mjx.model import ModelConfig, close_loops, close_loops_velocity, load, standing
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.subjects import ControllerSubject
-from cassie_mjx.sweeps import EpisodeResult, Trial, fly
+from cassie_mjx.sweeps import fly
+from cassie_mjx.trials import EpisodeResult, Trial
 from experiments.record_reference import foot_points
 
 

@@ -1,4 +1,4 @@
-"""The picture of the robot in the README: `MUJOCO_GL=osmesa python -m experiments.portrait out=docs/cassie.png`."""
+"""The picture of the robot in the README: `python -m experiments.portrait out=docs/cassie.png`."""
 
 from dataclasses import dataclass
 
@@ -6,8 +6,8 @@ import imageio.v3 as imageio
 import mujoco
 
 from cassie_mjx import cli
-from cassie_mjx.model import xml_path
 from cassie_mjx.reference import resolve
+from cassie_mjx.render import load_scene, open_renderer
 
 
 @dataclass(frozen=True)
@@ -27,13 +27,13 @@ class PortraitConfig:
 
 
 def main(config: PortraitConfig) -> None:
-    """Render one pose of the reference motion; where there is no screen, set MUJOCO_GL to osmesa or egl."""
+    """Render one pose of the reference motion."""
     out = cli.check_writable(config.out)
-    scene = mujoco.MjModel.from_xml_path(str(xml_path("flat")))
+    scene = load_scene()
     data = mujoco.MjData(scene)
     data.qpos[:] = resolve("walk").qpos[config.sample]
     mujoco.mj_forward(scene, data)
-    with mujoco.Renderer(scene, config.height, config.width) as renderer:
+    with open_renderer(scene, config.width, config.height) as renderer:
         renderer.update_scene(data, camera=config.camera)
         imageio.imwrite(out, renderer.render())
 

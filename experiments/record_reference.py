@@ -22,7 +22,7 @@ from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load, loop_error, xm
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.reference import ReferenceMotion, heading_x, make_periodic, save, velocity_error
 from cassie_mjx.subjects import ControllerSubject, walked
-from cassie_mjx.sweeps import fallen
+from cassie_mjx.trials import fallen
 
 STRIDE_M, STRIDE_TOLERANCE_M = 0.5, 0.02
 FRAMES, FRAME_HEIGHT, FRAME_WIDTH = 8, 300, 190

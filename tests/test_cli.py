@@ -18,7 +18,9 @@ class Example:
 
 
 def test_parse_reads_values_of_their_types():
-    assert cli.parse(Example, ["robots=5", "rates=[1,2,3]"]) == Example(robots=5, rates=(1, 2, 3))
+    for rates in ("rates=[1,2,3]", "rates=1,2,3"):
+        assert cli.parse(Example, ["robots=5", rates]) == Example(robots=5, rates=(1, 2, 3))
+    assert cli.parse(Example, ["rates=7"]) == Example(rates=(7,))
     assert cli.parse(Example, []) == Example()
 
 

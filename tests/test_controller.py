@@ -8,12 +8,13 @@ import pytest
 
 from cassie_mjx import controller, robot
 from cassie_mjx.controller import COMPLIANT, CONTROLLERS, STIFF, ControllerState
-from cassie_mjx.evaluate import DIRECTIONS, LIMIT_PHASES, TERRAIN_S
 from cassie_mjx.kinematics import inverse_kinematics, level_foot
 from cassie_mjx.model import ModelConfig, close_loops, load
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.subjects import ControllerSubject, walked
-from cassie_mjx.sweeps import AFTER_PUSH_S, PUSH_S, Trial, fallen, fly
+from cassie_mjx.suites import DIRECTIONS, LIMIT_PHASES, WALK_S
+from cassie_mjx.sweeps import fly
+from cassie_mjx.trials import AFTER_PUSH_S, PUSH_S, Trial, fallen
 
 jitted_step = jax.jit(controller.step)
 STRIDE_S = 0.704
@@ -164,5 +165,5 @@ def test_survives_the_pushes_required(physics, name):
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_walks_blind_over_the_terrain_required(physics, name):
     subject, terrain = ControllerSubject(name), NativePhysics(load(ModelConfig(scene="terrain")))
-    trials = [Trial(k, TERRAIN_S, terrain=REQUIRED[name][1]) for k in range(len(LIMIT_PHASES))]
+    trials = [Trial(k, WALK_S, terrain=REQUIRED[name][1]) for k in range(len(LIMIT_PHASES))]
     assert not fly(subject, terrain, subject.start(physics, LIMIT_PHASES), trials).fell.any()

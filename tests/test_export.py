@@ -109,6 +109,11 @@ def test_a_file_cut_short_is_refused(path):
         ({"mean": np.zeros(79, np.float32)}, r"mean has shape \(79,\) instead of \(80,\)"),
         ({"weight_1": np.zeros((256, 9), np.float32)}, r"weight_1 has shape \(256, 9\) instead of \(256, 256\)"),
         ({"joints": ["knee"]}, "10 outputs for 1 joints"),
+        ({"bias_0": np.zeros(255, np.float32)}, r"bias_0|weight_0"),
+        ({"p_gain": np.zeros(9)}, r"p_gain has shape \(9,\) instead of \(10,\)"),
+        ({"joints": 7}, "a part of it is not of its kind"),
+        ({"clip": "wide"}, "a part of it is not of its kind"),
+        ({"provenance": "{"}, "a part of it is not of its kind"),
         ({"song": 1}, "song missing or too much"),
     ],
 )

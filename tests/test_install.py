@@ -32,3 +32,12 @@ def test_the_wheel_finds_its_robot(installed, tmp_path):
     assert module.startswith(str(installed))
     assert nq == "35"
     assert xml.startswith(str(installed))
+
+
+def test_the_wheel_finds_its_policy(installed, tmp_path):
+    program = (
+        "from cassie_mjx import subjects, export as e; print(e.__file__, subjects.resolve('1x').provenance['seed'])"
+    )
+    module, seed = run_installed(installed, tmp_path, program).split()
+    assert module.startswith(str(installed))
+    assert int(seed) >= 0

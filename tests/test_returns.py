@@ -1,5 +1,6 @@
 """The return by hand: an environment whose rewards and falls are written down."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,6 +9,7 @@ import pytest
 
 from cassie_mjx import reference
 from cassie_mjx.envs.walk import WalkConfig
+from cassie_mjx.physics.types import Disturbance
 from cassie_mjx.returns import STARTS, referee, walk_returns
 
 
@@ -20,7 +22,7 @@ class Scripted:
         self.config = WalkConfig(early_end_reward=early_end, episode_steps=steps)
 
     def reset_at(self, phase, disturbance):
-        self.phase, self.steps = phase, 0
+        self.phase, self.steps, self.disturbance = phase, 0, disturbance
         return self._state()
 
     def step(self, state, action, key):
@@ -57,6 +59,14 @@ def test_starts_are_tenths_of_the_stride():
     walk_returns(act, env)
     # round(2.2 k)
     assert env.phase.tolist() == [0, 2, 4, 7, 9, 11, 13, 15, 18, 20]
+
+
+def test_a_disturbance_acts_from_the_start():
+    env, late = scripted(3), replace(Disturbance.none(3), delay=np.full(3, 10, np.int32))
+    walk_returns(act, env, late)
+    assert env.disturbance is late
+    walk_returns(act, env)
+    assert not env.disturbance.delay.any()
 
 
 def test_early_ends_are_refused():

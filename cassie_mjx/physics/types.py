@@ -1,6 +1,7 @@
 """What both physics engines take and give: states, disturbances and body poses, batched over robots (axis B)."""
 
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 import jax
@@ -119,12 +120,16 @@ def delayed(state: PhysicsState, disturbance: Disturbance) -> tuple[Array, Array
     return seen[:, : state.qpos.shape[1]], seen[:, state.qpos.shape[1] :]
 
 
+def namespace(array: Array) -> ModuleType:
+    """NumPy for a NumPy array and JAX's for any other, so that a formula is written once for both engines."""
+    return np if isinstance(array, np.ndarray) else jnp
+
+
 def merge(chosen: Array, these: T, those: T) -> T:
     """Robot by robot, the state `these` where `chosen` [B] and `those` elsewhere; for pytrees of either engine."""
 
     def pick(a: Array, b: Array) -> Array:
-        where = np if isinstance(b, np.ndarray) else jnp
-        return where.where(chosen.reshape(-1, *[1] * (b.ndim - 1)), a, b)
+        return namespace(b).where(chosen.reshape(-1, *[1] * (b.ndim - 1)), a, b)
 
     return jax.tree.map(pick, these, those)
 

@@ -1,0 +1,79 @@
+"""An engine of points and a subject that does nothing, with which trials have outcomes written down beforehand."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from cassie_mjx import robot
+from cassie_mjx.physics.mjx import MjxPhysics
+from cassie_mjx.physics.types import PhysicsState, namespace
+from cassie_mjx.trials import Walker
+
+
+def never(start, velocity, t, disturbance):
+    return t < 0
+
+
+class _Points:
+    """Points that slide along x with acceleration `pull`.
+
+    `falls(start, velocity, t, disturbance)` says which are down: true, false or NaN.
+    """
+
+    max_delay = 0
+
+    def __init__(self, hertz=2000, pull=0.0, falls=never):
+        self.model = SimpleNamespace(opt=SimpleNamespace(timestep=1 / hertz))
+        self.pull, self.falls = pull, falls
+        self.flown = 0
+
+    def advance(self, state, target, disturbance, n_steps):
+        xp, dt = namespace(state.qpos), self.model.opt.timestep
+        self.flown += n_steps * len(target)
+        pushed = (disturbance.push_stop - state.step).clip(0, n_steps)
+        step = state.step + np.int32(n_steps)
+        t = step * dt
+        qvel = xp.concatenate([state.qvel[:, :3] + disturbance.push * (pushed * dt)[:, None], state.qvel[:, 3:]], 1)
+        down = self.falls(state.qpos[:, -1], qvel[:, :3], t, disturbance)
+        x, y, z = self.pull * t**2 / 2, state.qpos[:, 1], 0.9 - 0.4 * down
+        qpos = xp.concatenate([xp.stack([x, y, z], 1), state.qpos[:, 3:]], 1)
+        return replace(state, qpos=qpos, qvel=qvel, step=step)
+
+
+class _CompiledPoints(_Points, MjxPhysics):
+    """The same as an engine of compiled calls."""
+
+
+def points(**how) -> Any:
+    """The engine, typed as any."""
+    return _Points(**how)
+
+
+def compiled_points(**how) -> Any:
+    """The engine, typed as any, that is advanced as MJX is."""
+    return _CompiledPoints(**how)
+
+
+class Still:
+    """A subject that asks for zero angles; it remembers how often it acted."""
+
+    name, period_s, provenance = "still", 0.032, {}
+
+    def start(self, physics, phases):
+        robots = len(phases)
+        qpos = np.zeros((robots, robot.NQ))
+        qpos[:, 2], qpos[:, 3], qpos[:, -1] = 0.9, 1.0, np.arange(robots)
+        zero = np.zeros((robots, robot.NV))
+        state = PhysicsState(qpos, zero, zero, np.zeros(robots, np.int32), np.zeros((robots, 0, 67)))
+        return Walker(state, np.zeros(robots))
+
+    def returns(self, physics, delay=0):
+        return []
+
+    def act(self, physics, seen, memory):
+        return np.zeros((len(memory), robot.NU)), memory + 1
+
+    def carried(self, memory, offset):
+        return memory

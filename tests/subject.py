@@ -1,0 +1,31 @@
+"""A subject for tests that need a robot but no walk."""
+
+import numpy as np
+
+from cassie_mjx import robot
+from cassie_mjx.model import standing
+from cassie_mjx.trials import Walker
+
+
+class Swaying:
+    """It holds the standing pose, gives way to how fast it sees itself move, and remembers how often it acted."""
+
+    name = "swaying"
+
+    def __init__(self, period_s=0.032, hold=1.0):
+        self.provenance, self.period_s, self.hold = {}, period_s, hold
+
+    def start(self, physics, phases):
+        qpos = np.tile(standing(physics.model), (len(phases), 1))
+        qvel = np.full((len(phases), robot.NV), 0.02)
+        return Walker(physics.init(qpos, qvel), np.zeros(len(phases)))
+
+    def returns(self, physics, delay=0):
+        return []
+
+    def act(self, physics, seen, memory):
+        sway = 0.02 * seen.qvel[:, robot.ACTIVE_QVEL] + 0.01 * np.sin(memory)[:, None]
+        return self.hold * robot.STANDING_TARGET + sway, memory + 1
+
+    def carried(self, memory, offset):
+        return memory

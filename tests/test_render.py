@@ -1,0 +1,202 @@
+"""Pictures and videos, without a screen."""
+
+import subprocess
+from types import SimpleNamespace
+
+import imageio.v3 as imageio
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from subject import Swaying
+
+from cassie_mjx import cli, render, subjects
+from cassie_mjx.film import Shot
+from cassie_mjx.render import RenderConfig
+
+WIDTH, HEIGHT = 192, 128
+FLOOR_PERIOD_M = 1.0
+
+
+@pytest.fixture(scope="module")
+def drawing():
+    """Skip where there is no backend to draw with."""
+    try:
+        render.choose_backend()
+    except ValueError as error:
+        pytest.skip(str(error))
+
+
+def picture(qpos, camera="three-quarter", push=(0.0, 0.0, 0.0), terrain=0.0):
+    shot = Shot(0.0, qpos, np.array(push), None)
+    with render.open_renderer(render.load_scene(terrain), WIDTH, HEIGHT) as renderer:
+        return next(render.draw(renderer, [shot], camera, terrain)).astype(int)
+
+
+def differing(a, b):
+    """Share of pixels that differ clearly."""
+    return float((np.abs(a - b).max(axis=-1) > 12).mean())
+
+
+@pytest.mark.parametrize("camera", render.CAMERAS)
+def test_the_camera_follows(drawing, standing_qpos, camera):
+    along = standing_qpos.copy()
+    along[0] += 20 * FLOOR_PERIOD_M
+    here, there = picture(standing_qpos, camera), picture(along, camera)
+    assert here.shape == (HEIGHT, WIDTH, 3)
+    assert here.std() > 10
+    assert differing(here, there) < 0.005
+    half = standing_qpos.copy()
+    half[0] += FLOOR_PERIOD_M / 2
+    assert differing(here, picture(half, camera)) > 0.1
+
+
+@pytest.mark.parametrize("camera", render.CAMERAS)
+def test_the_camera_stays_above_the_ground(drawing, standing_qpos, camera):
+    """Over the robot there is sky, also when it lies on the ground; seen from below, the sky is under it."""
+    lying = standing_qpos.copy()
+    lying[2] -= 0.8
+    image = picture(lying, camera)
+    blue = image[..., 2] - image[..., 0]
+    assert blue[0].min() > 30 > blue[-1].max()
+
+
+def test_the_views_differ(drawing, standing_qpos):
+    side, front, oblique = (picture(standing_qpos, camera) for camera in ("side", "front", "three-quarter"))
+    assert min(differing(side, front), differing(front, oblique), differing(oblique, side)) > 0.05
+
+
+def test_a_push_is_a_red_arrow_on_the_side_that_it_comes_from(drawing, standing_qpos):
+    def red(push):
+        image = picture(standing_qpos, "side", push)
+        return np.argwhere((image[..., 0] > 90) & (image[..., 1] < 60) & (image[..., 2] < 60))
+
+    assert len(red((0.0, 0.0, 0.0))) == 0
+    # The side camera looks along +y: +x is to the right, so a forward push comes from the left. The height of the
+    # picture is 2 x 2.5 m x tan(33 deg / 2); the pelvis is 0.08 m before the middle.
+    pixels_per_m = HEIGHT / (5 * np.tan(np.deg2rad(16.5)))
+    for push, sign, length in ((120.0, -1, 0.36), (-120.0, 1, 0.36), (240.0, -1, 0.72)):
+        columns = red((push, 0.0, 0.0))[:, 1] + 0.5 - WIDTH / 2
+        behind = sign * (columns / pixels_per_m - 0.08)
+        # The point of the arrow is too thin to be seen.
+        np.testing.assert_allclose(behind.min(), 0.14, atol=0.08)
+        np.testing.assert_allclose(behind.max(), 0.14 + length, atol=0.05)
+
+
+def test_terrain_is_seen(drawing, standing_qpos):
+    def horizon(h):
+        """Rows of sky in the columns left and right of the robot."""
+        qpos = standing_qpos.copy()
+        qpos[0] = np.pi
+        image = picture(qpos, "side", terrain=h)[:, np.r_[: WIDTH // 4, WIDTH * 3 // 4 : WIDTH]]
+        return (image[..., 2] - image[..., 0] > 30).sum(axis=0)
+
+    assert np.ptp(horizon(0.0)) <= 1
+    assert np.ptp(horizon(0.1)) >= 3
+    assert np.ptp(horizon(0.2)) >= np.ptp(horizon(0.1)) + 2
+
+
+@pytest.mark.parametrize(("suffix", "fps"), [("mp4", 25.0), ("mp4", 60.0), ("gif", 25.0), ("gif", 31.25)])
+def test_videos_have_their_frames_and_duration(tmp_path, suffix, fps):
+    greys = np.linspace(0, 250, 12).astype(np.uint8)
+    frames = [np.full((32, 48, 3), grey, np.uint8) for grey in greys]
+    path = tmp_path / f"a.{suffix}"
+    render.write_video(path, frames, 48, 32, fps)
+    video = imageio.imread(path, index=None) if suffix == "gif" else imageio.imread(path, plugin="FFMPEG")
+    assert video.shape == (12, 32, 48, 3)
+    np.testing.assert_allclose(video.astype(int).mean(axis=(1, 2, 3)), greys, atol=6)
+    if suffix == "gif":
+        frames_meta = [imageio.immeta(path, index=k) for k in range(12)]
+        assert frames_meta[0]["loop"] == 0
+        seconds = sum(meta["duration"] for meta in frames_meta) / 1000
+    else:
+        seconds = imageio_ffmpeg.count_frames_and_secs(path)[1]
+    # A GIF counts in hundredths of a second.
+    assert seconds == pytest.approx(12 / fps, abs=0.011)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_failing_film_leaves_what_was_there(tmp_path):
+    def frames():
+        yield np.zeros((32, 48, 3), np.uint8)
+        raise ValueError("the film tore")
+
+    (tmp_path / "a.mp4").write_text("precious")
+    with pytest.raises(ValueError, match="the film tore"):
+        render.write_video(tmp_path / "a.mp4", frames(), 48, 32, 25.0)
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.mp4", "precious")]
+
+
+def test_an_encoder_that_fails_is_noticed(tmp_path, monkeypatch):
+    (tmp_path / "a.gif").write_text("precious")
+    monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: "false")
+    with pytest.raises(OSError, match=r"a\.gif has not been written: ffmpeg failed with status 1\."):
+        render.write_video(tmp_path / "a.gif", 100 * [np.zeros((32, 48, 3), np.uint8)], 48, 32, 25.0)
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.gif", "precious")]
+
+
+@pytest.mark.parametrize(("hold", "end"), [(1.0, "swaying stayed up"), (0.0, "swaying fell after 0.")])
+def test_the_command_says_how_it_went(drawing, tmp_path, monkeypatch, capsys, hold, end):
+    monkeypatch.setattr(subjects, "resolve", lambda name: Swaying(hold=hold))
+    out = tmp_path / "a.gif"
+    arguments = [f"out={out}", "width=32", "height=32", "fps=10", "seconds=0.8", "push=20,0", "push_at=0.1"]
+    render.main(cli.parse(RenderConfig, arguments))
+    assert end in " ".join(capsys.readouterr().err.split())
+    assert len(imageio.imread(out, index=None)) == 8
+
+
+@pytest.mark.parametrize(
+    ("argument", "sentence"),
+    [
+        ("out=walk.avi", r"out=walk\.avi cannot be filmed; name a file that ends in \.mp4 or \.gif\."),
+        ("out=walk", r"name a file that ends in \.mp4 or \.gif"),
+        ("camera=top", "camera=top cannot be filmed; choose one of three-quarter, side, front"),
+        ("seconds=0", r"seconds=0\.0 cannot be filmed; use a duration above 0 s"),
+        ("seconds=inf", "seconds=inf cannot be filmed"),
+        ("push=10", r"push=\[10\.0\] cannot be filmed; name two forces in N, such as push=0,50"),
+        ("push=10,nan", "name two forces in N"),
+        ("push_at=-1", "use a time of at least 0 s"),
+        ("terrain=-0.1", "use a height of at least 0 m"),
+        ("delay=0.3", r"delay=0\.3 cannot be filmed; use a multiple of 0\.5 ms"),
+        ("phase=2", "use a share of the stride from 0 to 1"),
+        ("width=641", "width=641 cannot be filmed; use an even number from 16 to 4096"),
+        ("height=8", "height=8 cannot be filmed"),
+        ("fps=0", "use 1 to 1000"),
+    ],
+)
+def test_what_cannot_be_filmed_gets_one_sentence(argument, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        cli.parse(RenderConfig, [argument])
+
+
+def test_a_gif_faster_than_browsers_show_it_is_refused():
+    with pytest.raises(ValueError, match=r"fps=60\.0 cannot be filmed; a GIF has at most 50"):
+        cli.parse(RenderConfig, ["out=a.gif", "fps=60"])
+
+
+def test_an_unwritable_file_is_refused_before_the_walk(tmp_path):
+    with pytest.raises(ValueError, match=r"missing/a\.mp4 cannot be written"):
+        render.main(RenderConfig(out=str(tmp_path / "missing" / "a.mp4")))
+
+
+@pytest.mark.parametrize(
+    ("chosen", "sentence"),
+    [
+        (None, "neither works here; install libegl1 and libgl1-mesa-dri, or libosmesa6"),
+        ("osmesa", "MUJOCO_GL=osmesa does not work here; unset it"),
+    ],
+)
+def test_where_nothing_can_draw_the_packages_are_named(monkeypatch, chosen, sentence):
+    tried = []
+
+    def failing(command, env, **how):
+        tried.append(env["MUJOCO_GL"])
+        return SimpleNamespace(returncode=1)
+
+    monkeypatch.setattr(render.sys, "platform", "linux")
+    monkeypatch.setattr(subprocess, "run", failing)
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    if chosen:
+        monkeypatch.setenv("MUJOCO_GL", chosen)
+    with pytest.raises(ValueError, match=sentence):
+        render.choose_backend.__wrapped__()
+    assert tried == ([chosen] if chosen else ["egl", "osmesa"])

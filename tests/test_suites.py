@@ -1,0 +1,156 @@
+"""The suites' questions, put to subjects and engines whose outcomes are written down."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from points import Still, never, points
+
+from cassie_mjx import suites, trials
+from cassie_mjx.subjects import resolve
+from cassie_mjx.suites import Setting
+from cassie_mjx.sweeps import fly
+from cassie_mjx.trials import Measured, Trial
+
+
+class Settled(Setting):
+    """A setting whose engine is one of points that fall by a rule."""
+
+    falls = staticmethod(never)
+
+    def physics(self, scene="flat", longest_delay_s=0.0):
+        physics = points(falls=self.falls)
+        physics.max_delay = round(2000 * longest_delay_s)
+        return physics
+
+    def starts(self, subject, phases, longest_delay_s=0.0):
+        return subject.start(points(), phases)
+
+
+class Imitating(Still):
+    """Its return falls by 10 with each step of delay."""
+
+    def returns(self, physics, delay=0):
+        return [Measured("return_plain", 300.0 - 10 * delay, "of 300", 10)]
+
+
+def values(findings):
+    return {figure.quantity: figure.value for figure in findings.figures}
+
+
+def test_the_longest_delay_has_no_gap_below_it():
+    class Late(Settled):
+        @staticmethod
+        def falls(start, velocity, t, disturbance):
+            # Start 3 cannot bear 6.5 ms, all others bear up to 12 ms, and start 1 no more than 2 ms after 30 s.
+            alone = (start == 3) & (disturbance.delay == 13)
+            weary = (start == 1) & (disturbance.delay > 4) & (t > 30)
+            return ((disturbance.delay > 24) & (t > 9)) | alone | weary
+
+    found = values(suites.delay(Imitating(), Late(long=True)))
+    assert found == {
+        **{"delay_5ms_return_plain": 200, "delay_10ms_return_plain": 100},
+        **{"delay_5ms_survived_s": 10, "delay_10ms_survived_s": 10},
+        **{"delay_max_ms": 6, "delay_max_ms_60s": 2},
+    }
+
+
+def test_survival_under_delay_is_that_of_the_worst_start():
+    class Late(Settled):
+        @staticmethod
+        def falls(start, velocity, t, disturbance):
+            return (start == 7) & (disturbance.delay == 20) & (t > 2)
+
+    found = values(suites.delay(Imitating(), Late()))
+    assert found["delay_5ms_survived_s"] == 10
+    assert found["delay_10ms_survived_s"] == pytest.approx(2.016)
+    assert found["delay_max_ms"] == 9.5
+
+
+@pytest.mark.parametrize(("highest", "expected"), [(0.155, 0.15), (0.005, 0.0), (1.0, 0.4)])
+def test_the_highest_terrain_is_survived_from_all_phases(highest, expected):
+    class Hilly(Settled):
+        @staticmethod
+        def falls(start, velocity, t, disturbance):
+            return (start == 5) & (disturbance.terrain > highest)
+
+    assert values(suites.terrain(Still(), Hilly())) == {"terrain_h_m": expected}
+
+
+def test_the_map_has_every_cell(monkeypatch):
+    """Pushes up to 100 N are survived; those to the left up to 50 N, and at phase 3 also 80 N."""
+
+    def survives(trial):
+        force, angle = np.hypot(*trial.push), np.arctan2(trial.push[1], trial.push[0])
+        if np.isclose(angle, np.pi / 2):
+            return force < 55 or (trial.start == 3 and np.isclose(force, 80))
+        return force < 105
+
+    flown = []
+
+    def judged(subject, physics, starts, listed, watch, lanes):
+        flown.extend(listed)
+        return SimpleNamespace(fell=np.array([not survives(trial) for trial in listed]))
+
+    monkeypatch.setattr(suites, "fly", judged)
+    findings = suites.push_map(Still(), Settled())
+    assert len(flown) == 16 * 8 * 40
+    assert {trial.seconds for trial in flown} == {trials.PUSH_S + trials.AFTER_PUSH_S}
+    cells, found = findings.cells, values(findings)
+    assert cells is not None
+    assert (len(cells["directions_deg"]), len(cells["phases"]), len(cells["forces_N"])) == (16, 8, 40)
+    assert cells["directions_deg"][4] == 90
+    assert cells["survived"][0][3] == "1" * 10 + "0" * 30
+    assert cells["survived"][4][2] == "1" * 5 + "0" * 35
+    assert cells["survived"][4][3] == "11111001" + "0" * 32
+    assert (found["push_0deg_N"], found["push_90deg_N"], found["push_90deg_median_N"]) == (100, 50, 50)
+    assert found["push_22.5deg_survived"] == 0.25
+    assert found["push_90deg_survived"] == pytest.approx((5 * 8 + 1) / 320)
+    assert found["push_map_survived"] == pytest.approx((15 * 80 + 41) / 5120)
+
+
+def test_pushes_along_the_axes_are_those_of_the_limit_search():
+    assert [suites.towards(degrees) for degrees in (0, 180, 90, 270)] == list(suites.DIRECTIONS.values())
+    assert suites.towards(30) == pytest.approx((3**0.5 / 2, 0.5))
+    assert suites.pushed(3, (0, -1), 70).push == (0, -70)
+
+
+def test_push_figures_are_worst_and_median_phase():
+    limits = np.array([[40, 10, 30, 20], [50, 50, 50, 60], [0, 10, 10, 10], [400, 400, 400, 400]])
+    rows = {row.quantity: row.value for row in suites.push_figures(limits, list(suites.DIRECTIONS))}
+    assert rows == {
+        **{"push_forward_N": 10, "push_backward_N": 50, "push_left_N": 0, "push_right_N": 400},
+        **{"push_forward_median_N": 25, "push_backward_median_N": 50},
+        **{"push_left_median_N": 10, "push_right_median_N": 400},
+    }
+
+
+def test_walking_figures_take_the_worst_survival():
+    physics = points(falls=lambda start, velocity, t, disturbance: (start == 1) & (t > 1.0))
+    result = fly(Still(), physics, Still().start(physics, np.zeros(2)), [Trial(k, 10.0) for k in (0, 1)])
+    rows = {row.quantity: row for row in suites.walking_figures(result, "_60s")}
+    assert rows["survived_s_60s"] == ("survived_s_60s", pytest.approx(1.024), "s", 2)
+    assert {"speed_mps_60s", "pelvis_height_m_60s", "power_w_60s", "drift_m_60s"} < rows.keys()
+
+
+def test_mjx_gives_the_verdicts_of_mujoco_c():
+    """Where they are clear: undisturbed, a light and a hopeless push, delays of 1 and 20 ms."""
+    subject = resolve("1x")
+    cells = [
+        Trial(0, 1.6),
+        Trial(1, 1.6, push=(0.0, 20.0)),
+        Trial(1, 1.6, push=(0.0, 400.0)),
+        Trial(0, 1.6, delay=2),
+        Trial(0, 1.6, delay=40),
+    ]
+    results = {}
+    for engine in suites.ENGINES:
+        setting = Setting(engine)
+        starts = setting.starts(subject, np.array([0.0, 0.5]), suites.LONGEST_DELAY_S)
+        results[engine] = fly(subject, setting.physics(longest_delay_s=suites.LONGEST_DELAY_S), starts, cells)
+    native, mjx = results["native"], results["mjx"]
+    np.testing.assert_array_equal(native.fell, [False, False, True, False, True])
+    np.testing.assert_array_equal(mjx.fell, native.fell)
+    np.testing.assert_allclose(mjx.distance_m[~native.fell], native.distance_m[~native.fell], atol=0.05)
+    np.testing.assert_allclose(mjx.power_w[~native.fell], native.power_w[~native.fell], rtol=0.05)
+    np.testing.assert_allclose(mjx.survived_s, native.survived_s, atol=0.1)
