@@ -183,12 +183,25 @@ def summarize(variant: Variant, runs: Sequence[dict[str, Any]]) -> list[dict[str
 
 
 def table(title: str, rows: Sequence[dict[str, Any]]) -> Table:
-    """The summary for reading."""
-    shown = Table("variant", "quantity", "mean", "sd", "min", "max", "runs", title=title)
-    for row in rows:
-        figures = ("-" if row[name] is None else f"{row[name]:.4g}" for name in ("mean", "sd", "min", "max"))
-        shown.add_row(row["variant"], row["quantity"], *figures, f"{row['n']} of {row['runs']}")
+    """The summary for reading: mean (least–greatest) over the seeds."""
+    shown = Table("variant", "reward", "best return", f"k samples to {GOAL}", f"s to {GOAL}", "reached", title=title)
+    found = {(row["variant"], row["quantity"]): row for row in rows}
+    for variant in dict.fromkeys(row["variant"] for row in rows):
+        for reward in REWARDS:
+            best, samples, seconds = (
+                found[variant, f"{quantity}_{reward}"]
+                for quantity in ("best_return", f"samples_to_{GOAL}", f"train_s_to_{GOAL}")
+            )
+            reached = f"{samples['n']} of {samples['runs']}"
+            shown.add_row(variant, reward, _span(best, 1, 1), _span(samples, 1000, 0), _span(seconds, 1, 0), reached)
     return shown
+
+
+def _span(row: dict[str, Any], unit: float, digits: int) -> str:
+    if not row["n"]:
+        return "-"
+    mean, least, greatest = (f"{row[name] / unit:.{digits}f}" for name in ("mean", "min", "max"))
+    return f"{mean} ({least}–{greatest})"
 
 
 def draw(path: Path, runs: Sequence[dict[str, Any]]) -> None:
