@@ -180,21 +180,27 @@ def test_a_missing_reference_is_refused_before_anything_is_written(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_a_nan_in_physics_is_counted_and_survived(tmp_path, monkeypatch):
-    advance, calls = NativePhysics.advance, iter(range(10**6))
-    # 2 rollouts of 8 steps gather the input statistics; then comes training.
-    poisoned = range(16 + 3, 16 + 5)
+def test_a_nan_in_physics_is_counted_survived_and_kept(tmp_path, monkeypatch):
+    advance = NativePhysics.advance
 
-    def patched(self, *args):
-        state = advance(self, *args)
-        if next(calls) in poisoned:
-            state.qpos[1] = np.nan
-        return state
+    def patched(self, state, target, disturbance, n_steps):
+        after = advance(self, state, target, disturbance, n_steps)
+        # A robot of the four diverges in the third control step of each of its episodes; the referee has ten.
+        if len(state.qpos) == 4 and state.step[1] == 2 * n_steps:
+            after.qpos[1] = np.nan
+        return after
 
-    monkeypatch.setattr(NativePhysics, "advance", patched)
-    session(tmp_path).train()
-    assert [line["train/nan"] for line in lines(tmp_path)] == [2, 0, 0]
+    with monkeypatch.context() as patches:
+        patches.setattr(NativePhysics, "advance", patched)
+        running = session(tmp_path)
+        running.train()
+    # Of the steps 1 to 16, 17 to 32 and 33 to 48 between evaluations, every third.
+    assert [line["train/nan"] for line in lines(tmp_path)] == [5, 5, 6]
     assert all(np.isfinite(array).all() for array in last_state(tmp_path).values())
+    said = running.terminal._console.file.getvalue()
+    assert "Physics diverged in iteration 1, which ended an episode; the model and the state before it are in" in said
+    assert said.count("diverged") == 1
+    assert np.load(tmp_path / "nan" / "before.npz")["step"] == 2 * 16
 
 
 def test_auto_takes_mjx_on_an_accelerator_alone(monkeypatch):
