@@ -13,7 +13,7 @@ from experiments.learning import ACTOR, STUDIES, LearningConfig, Variant, expect
 TWO_SEEDS = Variant("tenth", {"ppo": "paper", ACTOR: "1e-4", "walk.early_end_reward": "null"}, (0, 1))
 
 
-def fake_training(monkeypatch, status=0, **changed):
+def fake_training(monkeypatch, status=0, changed=None):
     """Instead of a training, the files of one: seed k returns 100 k + 200, 300 at 3000, 6000 samples."""
     calls = []
 
@@ -22,7 +22,7 @@ def fake_training(monkeypatch, status=0, **changed):
         values = dict(argument.split("=") for argument in command[3:])
         folder = learning.Path(values["run_dir"])
         (folder / "checkpoints" / "step_000300").mkdir(parents=True)
-        held = {"config": {"physics_hz": 500, "seed": int(values["seed"]), **expected(TWO_SEEDS), **changed}}
+        held = {"config": {"physics_hz": 500, "seed": int(values["seed"]), **expected(TWO_SEEDS), **(changed or {})}}
         (folder / "config.json").write_text(json.dumps(held | {"provenance": {"commit": "abc"}}))
         rows = [dict.fromkeys(learning.COLUMNS.values(), 3000.0 * k) for k in (1, 2)]
         for k, row in enumerate(rows):
@@ -59,7 +59,7 @@ def test_a_study_trains_each_seed_once_and_reports_it(monkeypatch, tmp_path):
 
 
 def test_a_run_with_other_settings_is_not_reported(monkeypatch, tmp_path):
-    fake_training(monkeypatch, **{"walk.early_end_reward": 0.6})
+    fake_training(monkeypatch, changed={"walk.early_end_reward": 0.6})
     with pytest.raises(ValueError, match="was trained with walk.early_end_reward=0.6, unlike tenth"):
         study(tmp_path)
     assert not (tmp_path / "out.json").exists()
