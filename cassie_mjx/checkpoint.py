@@ -96,6 +96,11 @@ def latest(directory: Path) -> Path | None:
     return next(reversed(_checkpoints(directory)), None)
 
 
+def iteration_of(checkpoint: Path) -> int:
+    """The iteration after which a checkpoint was saved."""
+    return int(checkpoint.name.removeprefix(_PREFIX))
+
+
 def restore(checkpoint: Path) -> Restored:
     """Read a checkpoint that any platform wrote.
 

@@ -2,14 +2,17 @@
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
 import jax
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from tensorboardX import SummaryWriter
+from tensorboardX.event_file_writer import EventsWriter
+from tensorboardX.proto.event_pb2 import Event, SessionLog
+from tensorboardX.summary import scalar
 
 R = TypeVar("R")
 
@@ -50,8 +53,12 @@ class JsonLines:
         partial.replace(path)
 
     def write(self, values: Mapping[str, float]) -> None:
-        """Append one line."""
-        with self._path.open("a") as file:
+        """Append one line.
+
+        Raises:
+          OSError: it cannot be written, for instance on a full disk.
+        """
+        with _writing(self._path), self._path.open("a") as file:
             file.write(json.dumps(values) + "\n")
 
 
@@ -60,13 +67,23 @@ class TensorBoard:
 
     def __init__(self, folder: Path, samples: int) -> None:
         """Add to the curves in `folder` after `samples` samples; what is there beyond is of a lost future."""
-        self._writer = SummaryWriter(str(folder), purge_step=samples + 1)
+        self._folder = folder
+        folder.mkdir(exist_ok=True)
+        # tensorboardX's SummaryWriter would write from a thread, whose errors nobody catches.
+        self._writer = EventsWriter(str(folder / "events"))
+        self._writer.write_event(Event(step=samples + 1, session_log=SessionLog(status=SessionLog.START)))
 
     def write(self, values: Mapping[str, float]) -> None:
-        """Add a point to each curve."""
-        for name, value in values.items():
-            self._writer.add_scalar(name, value, int(values["train/samples"]))
-        self._writer.flush()
+        """Add a point to each curve.
+
+        Raises:
+          OSError: it cannot be written, for instance on a full disk.
+        """
+        now, step = time.time(), int(values["train/samples"])
+        with _writing(self._folder):
+            for name, value in values.items():
+                self._writer.write_event(Event(wall_time=now, step=step, summary=scalar(name, value)))
+            self._writer.flush()
 
 
 class Terminal:
@@ -116,6 +133,14 @@ class Terminal:
             f"  training episodes {values['train/episode_steps']:.0f} steps"
             f"  {values['time/samples_per_s']:,.0f} samples/s  {left:.0f} s left"
         )
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise OSError(f"{path} could not be written ({error.strerror or error}).") from error
 
 
 def _samples_of(line: str) -> float:

@@ -23,10 +23,9 @@ def claim(folder: Path, config: TrainConfig, provenance: dict[str, Any]) -> chec
     if not path.exists():
         if config.resume:
             raise ValueError(f"{folder} holds no run to resume; leave resume=true out to start one.")
-        folder.mkdir(parents=True, exist_ok=True)
-        cli.write_json(path, {"config": wanted, "provenance": provenance})
+        _begin(folder, {"config": wanted, "provenance": provenance})
         return None
-    held = json.loads(path.read_text())["config"]
+    held = _held(path)
     if held != wanted:
         differing = [f"{key}={held.get(key)}" for key in wanted if held.get(key) != wanted[key]]
         raise ValueError(f"{folder} holds another run, with {', '.join(differing)}; choose another run_dir.")
@@ -40,6 +39,21 @@ def resume_command() -> str:
     """The present command, with resume=true."""
     arguments = [argument for argument in sys.argv[1:] if not argument.startswith("resume=")]
     return shlex.join(["python", "-m", "cassie_mjx.train", *arguments, "resume=true"])
+
+
+def _begin(folder: Path, content: dict[str, Any]) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        cli.write_json(folder / "config.json", content)
+    except OSError as error:
+        raise OSError(f"The run directory {folder} cannot be written ({error.strerror or error}).") from error
+
+
+def _held(path: Path) -> dict[str, Any]:
+    try:
+        return json.loads(path.read_text())["config"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{path} cannot be read ({error}); choose another run_dir.") from error
 
 
 def _comparable(config: dict[str, Any]) -> dict[str, Any]:

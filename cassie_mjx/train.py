@@ -15,13 +15,13 @@ from types import FrameType
 import jax
 from rich.console import Console
 
-from cassie_mjx import checkpoint, cli, hydra_cli, reference, run_directory
+from cassie_mjx import checkpoint, cli, diagnosis, hydra_cli, reference, run_directory
 from cassie_mjx.config import PPO_PRESETS, speed_factor
 from cassie_mjx.export import save_policy
 from cassie_mjx.metrics import JsonLines, TensorBoard, Terminal
 from cassie_mjx.ppo import networks
 from cassie_mjx.returns import referee, walk_returns
-from cassie_mjx.training import IterationMetrics, TrainConfig, Trainer, resolve
+from cassie_mjx.training import IterationMetrics, RunState, TrainConfig, Trainer, resolve
 
 
 @dataclass
@@ -107,18 +107,32 @@ class Session:
         self._conclude()
 
     def _iterate(self) -> None:
-        began = time.perf_counter()
-        self.run, metrics = self.trainer.iterate(self.run)
+        began, before = time.perf_counter(), self.run
+        self.run, metrics = self.trainer.iterate(before)
         metrics = jax.device_get(metrics)
         elapsed = time.perf_counter() - began
         self._count(elapsed)
         self.lap.iterations += 1
         self.lap.nan += int(metrics.nan)
+        if metrics.nan and not (self.folder / "nan").exists():
+            self._diagnose(before)
         rate = self.config.ppo.num_samples / elapsed
         self.terminal.advance(float(metrics.update.reward), self._episode_steps(metrics), rate)
         if self.done % self.config.evaluate_every == 0 or self.done == self.config.ppo.iterations:
             self._measure(metrics)
             self._save()
+
+    def _diagnose(self, before: RunState) -> None:
+        """Keep what led to the run's first divergence of the physics."""
+        found = self.trainer.replay(before)
+        if found:
+            diagnosis.dump(self.folder / "nan", self.trainer.env.physics.model, found)
+        kept = (
+            f"the model and the state before it are in {self.folder / 'nan'}"
+            if found
+            else "it did not recur in a replay"
+        )
+        self.terminal.say(f"Physics diverged in iteration {self.done}, which ended an episode; {kept}.")
 
     def _count(self, seconds: float) -> None:
         self.counters.train_s += seconds

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from cassie_mjx import robot
+from cassie_mjx import diagnosis, robot
 from cassie_mjx.config import PPOConfig, speed_factor
 from cassie_mjx.envs import observation
 from cassie_mjx.envs.walk import WalkConfig, WalkEnv
@@ -132,6 +132,11 @@ class Trainer:
         normalizer = rollout.random_policy_statistics(self.collect, policy, run.env, statistics_key, samples)
         return run._replace(learner=run.learner._replace(policy=policy._replace(normalizer=normalizer)))
 
+    def replay(self, before: RunState) -> diagnosis.Divergence | None:
+        """What led to the first divergence of the physics in the iteration that began with `before`."""
+        collect_key, _ = iteration_keys(before)
+        return diagnosis.replay(self.env, self.config.ppo, before.learner.policy, before.env, collect_key)
+
     def _keys(self) -> jax.Array:
         return jax.random.split(jax.random.key(self.config.seed), 4)
 
@@ -140,11 +145,15 @@ def iterate(
     collect: rollout.Collect, update: Callable[..., tuple[LearnerState, UpdateMetrics]], run: RunState
 ) -> tuple[RunState, IterationMetrics]:
     """Collect experience with the present policy and learn from it."""
-    key = jax.random.fold_in(jax.random.wrap_key_data(run.key), run.learner.iteration)
-    collect_key, update_key = jax.random.split(key)
+    collect_key, update_key = iteration_keys(run)
     env_state, experience = collect(run.learner.policy, run.env, collect_key)
     state, metrics = update(run.learner, experience, update_key)
     return RunState(state, env_state, run.key), IterationMetrics(metrics, experience.metrics["nan"].sum())
+
+
+def iteration_keys(run: RunState) -> jax.Array:
+    """The keys of the iteration that begins with `run`: to collect with, and to update with."""
+    return jax.random.split(jax.random.fold_in(jax.random.wrap_key_data(run.key), run.learner.iteration))
 
 
 class _TimedPhysics:

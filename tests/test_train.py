@@ -1,5 +1,6 @@
 """Training runs: exact resume, signals, run directories, command lines, and what a NaN does."""
 
+import errno
 import io
 import json
 import os
@@ -7,16 +8,19 @@ import signal
 import subprocess
 import sys
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 from rich.console import Console
+from tensorboardX.event_file_writer import EventsWriter
+from tensorboardX.proto.event_pb2 import Event, SessionLog
 
 from cassie_mjx import checkpoint, hydra_cli
 from cassie_mjx.config import PPO_PRESETS, PPOConfig, speed_factor
 from cassie_mjx.export import NumpyPolicy
-from cassie_mjx.metrics import JsonLines, Stopwatch, Terminal
+from cassie_mjx.metrics import JsonLines, Stopwatch, TensorBoard, Terminal
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.train import Session, TrainConfig
 from cassie_mjx.training import resolve
@@ -174,27 +178,42 @@ def test_there_must_be_a_run_to_resume(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_directory_that_cannot_be_used_is_refused_in_one_sentence(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OSError, match=r"^The run directory .*file cannot be written \(File exists\).$"):
+        session(tmp_path / "file")
+    (tmp_path / "config.json").write_text("{")
+    with pytest.raises(ValueError, match=r"config.json cannot be read \(.*\); choose another run_dir.$"):
+        session(tmp_path)
+
+
 def test_a_missing_reference_is_refused_before_anything_is_written(tmp_path):
     with pytest.raises(ValueError, match=r"missing\.npz"):
         session(tmp_path / "run", reference="missing.npz")
     assert not (tmp_path / "run").exists()
 
 
-def test_a_nan_in_physics_is_counted_and_survived(tmp_path, monkeypatch):
-    advance, calls = NativePhysics.advance, iter(range(10**6))
-    # 2 rollouts of 8 steps gather the input statistics; then comes training.
-    poisoned = range(16 + 3, 16 + 5)
+def test_a_nan_in_physics_is_counted_survived_and_kept(tmp_path, monkeypatch):
+    advance = NativePhysics.advance
 
-    def patched(self, *args):
-        state = advance(self, *args)
-        if next(calls) in poisoned:
-            state.qpos[1] = np.nan
-        return state
+    def patched(self, state, target, disturbance, n_steps):
+        after = advance(self, state, target, disturbance, n_steps)
+        # A robot of the four diverges in the third control step of each of its episodes; the referee has ten.
+        if len(state.qpos) == 4 and state.step[1] == 2 * n_steps:
+            after.qpos[1] = np.nan
+        return after
 
-    monkeypatch.setattr(NativePhysics, "advance", patched)
-    session(tmp_path).train()
-    assert [line["train/nan"] for line in lines(tmp_path)] == [2, 0, 0]
+    with monkeypatch.context() as patches:
+        patches.setattr(NativePhysics, "advance", patched)
+        running = session(tmp_path)
+        running.train()
+    # Of the steps 1 to 16, 17 to 32 and 33 to 48 between evaluations, every third.
+    assert [line["train/nan"] for line in lines(tmp_path)] == [5, 5, 6]
     assert all(np.isfinite(array).all() for array in last_state(tmp_path).values())
+    said = running.terminal._console.file.getvalue()
+    assert "Physics diverged in iteration 1, which ended an episode; the model and the state before it are in" in said
+    assert said.count("diverged") == 1
+    assert np.load(tmp_path / "nan" / "before.npz")["step"] == 2 * 16
 
 
 def test_auto_takes_mjx_on_an_accelerator_alone(monkeypatch):
@@ -308,6 +327,34 @@ def test_json_lines_forget_a_lost_future(tmp_path):
         {"train/samples": 20},
         {"train/samples": 25, "x": 0.5},
     ]
+
+
+def test_tensorboard_reads_the_curves_and_where_a_lost_future_begins(tmp_path):
+    TensorBoard(tmp_path / "board", samples=20).write({"train/samples": 25, "x": 0.5})
+    (path,) = (tmp_path / "board").glob("events.out.tfevents.*")
+    content, events = path.read_bytes(), []
+    # TFRecord: length [8], its checksum [4], the event, its checksum [4].
+    while content:
+        length = int.from_bytes(content[:8], "little")
+        events.append(Event.FromString(content[12 : 12 + length]))
+        content = content[16 + length :]
+    _version, start, *points = events
+    assert (start.step, start.session_log.status) == (21, SessionLog.START)
+    assert [(e.step, e.summary.value[0].tag, e.summary.value[0].simple_value) for e in points] == [
+        (25, "train/samples", 25),
+        (25, "x", 0.5),
+    ]
+
+
+@pytest.mark.parametrize(("sink", "call"), [(JsonLines, (Path, "open")), (TensorBoard, (EventsWriter, "flush"))])
+def test_a_full_disk_is_one_sentence(tmp_path, monkeypatch, sink, call):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    opened = sink(tmp_path / "sink", samples=0)
+    monkeypatch.setattr(*call, full)
+    with pytest.raises(OSError, match=r"sink could not be written \(No space left on device\).$"):
+        opened.write({"train/samples": 25})
 
 
 def test_a_stopwatch_counts_lap_by_lap():

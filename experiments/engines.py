@@ -1,0 +1,81 @@
+"""Policies on the other engine: `python -m experiments.engines runs=[runs/native,runs/mjx] out=FILE.json`.
+
+The best policy of each run walks undisturbed on MuJoCo C and on MJX, at several physics rates, from the ten phases of
+`return_plain` and `return_weighted`. MuJoCo C at 2 kHz is what every return is measured by elsewhere; MJX has the
+solver and contacts that it trains with.
+"""
+
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from cassie_mjx import cli
+from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.export import NumpyPolicy
+from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx, steps_per_control
+from cassie_mjx.physics.mjx import MjxPhysics
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.physics.types import Physics
+from cassie_mjx.returns import EPISODE_STEPS, STARTS, walk_returns
+from cassie_mjx.subjects import PolicySubject
+
+
+@dataclass(frozen=True)
+class EnginesConfig:
+    """What to compare."""
+
+    runs: tuple[str, ...] = ()
+    """Directories of training runs."""
+    rates: tuple[int, ...] = (2000, 1000, 500)
+    """Physics rates, Hz."""
+    out: str = "engines.json"
+    """Result file."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a run that is not there, or a rate that is none."""
+        for run in self.runs:
+            if not (Path(run) / "best.npz").is_file():
+                raise ValueError(f"{run} holds no best.npz; name the directories of training runs.")
+        for rate in self.rates:
+            steps_per_control(rate)
+
+
+def engines(rate: int) -> dict[str, Physics]:
+    """Both engines at a physics rate."""
+    return {
+        "native": NativePhysics(load(ModelConfig(physics_hz=rate))),
+        "mjx": MjxPhysics(load_for_mjx(replace(MJX_TRAINING, physics_hz=rate))),
+    }
+
+
+def main(config: EnginesConfig) -> None:
+    """Walk each policy on each engine and write the returns."""
+    out = cli.check_writable(config.out)
+    policies = {run: NumpyPolicy.load(Path(run) / "best.npz") for run in config.runs}
+    held = {run: json.loads((Path(run) / "config.json").read_text()) for run in config.runs}
+    task = WalkConfig(early_end_reward=None, episode_steps=EPISODE_STEPS)
+    rows: list[dict[str, Any]] = []
+    for rate in config.rates:
+        for engine, physics in engines(rate).items():
+            for run, policy in policies.items():
+                env = WalkEnv(physics, PolicySubject(run, policy).motion, task, STARTS)
+                trained = held[run]["config"]
+                row = {
+                    "policy": run,
+                    "trained_on": trained["physics"],
+                    "trained_at_hz": trained["physics_hz"],
+                    "samples": policy.provenance["samples"],
+                    "walks_on": engine,
+                    "physics_hz": rate,
+                }
+                rows.append(row | {name: round(value, 2) for name, value in walk_returns(policy, env).items()})
+                Console(stderr=True).print(rows[-1])
+    origins = {run: policy.provenance for run, policy in policies.items()}
+    cli.write_json(out, {"rows": rows, "policies": origins, "provenance": cli.provenance(**asdict(config))})
+
+
+if __name__ == "__main__":
+    cli.run(main, EnginesConfig)

@@ -1,0 +1,261 @@
+"""Learning curves over seeds: `python -m experiments.learning study=walking out=FILE.json`.
+
+A study trains each of its variants once a seed, one run after another, by `python -m cassie_mjx.train`, and then reads
+what the runs wrote. Runs that are finished are not repeated and one that was interrupted goes on, so the same command
+completes a study that was stopped; studies that share a variant share its runs. Returns do not depend on what else the
+machine does, seconds do: compare those only if it was quiet. With `plot=FILE.png` the curves are drawn.
+"""
+
+import json
+import statistics
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from omegaconf import OmegaConf
+from rich.console import Console
+from rich.table import Table
+
+from cassie_mjx import checkpoint, cli
+from cassie_mjx.config import PPO_PRESETS
+
+# The return that the paper reports.
+GOAL = 250
+REWARDS = ("plain", "weighted")
+
+COLUMNS = {
+    "samples": "train/samples",
+    "train_s": "time/train_s",
+    "return_plain": "eval/return_plain",
+    "return_weighted": "eval/return_weighted",
+    "steps": "eval/steps",
+    "nan": "train/nan",
+    "kl": "learner/kl",
+    "clip_fraction": "learner/clip_fraction",
+    "explained_variance": "learner/explained_variance",
+    "actor_learning_rate": "learner/actor_learning_rate",
+}
+"""Columns of a curve, one entry an evaluation, and where the metrics have them."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to train."""
+
+    name: str
+    """Its runs are the directories <name>-seed<seed>, in whatever study."""
+    settings: Mapping[str, str]
+    """Key to value of the arguments of `python -m cassie_mjx.train`."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+
+    @property
+    def overrides(self) -> list[str]:
+        """The settings as arguments."""
+        return [f"{key}={value}" for key, value in self.settings.items()]
+
+
+ACTOR, CRITIC = "ppo.actor_learning_rate", "ppo.critic_learning_rate"
+PAPER = {"ppo": "paper", "walk.reward": "plain", ACTOR: "1e-3", CRITIC: "1e-2"}
+DEFAULT = Variant("1x", {})
+
+STUDIES = {
+    "walking": (replace(DEFAULT, seeds=(0, 1, 2, 3, 4)),),
+    "reward": (DEFAULT, Variant("1x-plain", {"walk.reward": "plain"})),
+    "rate": (DEFAULT, Variant("1x-1000hz", {"physics_hz": "1000"})),
+    # What the paper prints, a tenth of its step sizes, and readings that differ from the printed one in a single point.
+    "paper": (
+        Variant("paper-printed", PAPER),
+        Variant("paper-tenth", PAPER | {ACTOR: "1e-4", CRITIC: "1e-3"}),
+        Variant("paper-tenth-actor", PAPER | {ACTOR: "1e-4"}, (0,)),
+        Variant("paper-tenth-critic", PAPER | {CRITIC: "1e-3"}, (0,)),
+        Variant("paper-no-early-end", PAPER | {"walk.early_end_reward": "null"}, (0,)),
+        Variant("paper-normalized-advantage", PAPER | {"ppo.normalize_advantage": "true"}, (0,)),
+        Variant("paper-output-scale-1", PAPER | {"ppo.actor_output_scale": "1.0"}, (0,)),
+        Variant("paper-weighted", PAPER | {"walk.reward": "weighted"}, (0,)),
+        Variant("paper-std-0.018", PAPER | {"ppo.action_std": "0.018"}, (0,)),
+        Variant("paper-gamma-0.95", PAPER | {"ppo.gamma": "0.95"}, (0,)),
+    ),
+}
+"""What can be studied."""
+
+
+@dataclass(frozen=True)
+class LearningConfig:
+    """What to study."""
+
+    study: str = "walking"
+    """One of `STUDIES`."""
+    runs: str = "runs/studies"
+    """Directory of the run directories, <variant>-seed<seed>."""
+    out: str = "learning.json"
+    """Result file."""
+    plot: str = ""
+    """File for a picture of the curves; none if empty."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a study that is not known."""
+        if self.study not in STUDIES:
+            raise ValueError(f"study={self.study!r} is not known; choose one of {', '.join(STUDIES)}.")
+
+
+def train(folder: Path, variant: Variant, seed: int) -> None:
+    """Train one run to its end; nothing happens if it is there already.
+
+    Raises:
+      ValueError: training ended with an error or a signal.
+    """
+    if _is_finished(folder):
+        return
+    arguments = [*variant.overrides, f"seed={seed}", f"run_dir={folder}", "resume=true"]
+    status = subprocess.run([sys.executable, "-m", "cassie_mjx.train", *arguments], check=False).returncode
+    if status:
+        raise ValueError(f"Training in {folder} ended with status {status}; the same command goes on from there.")
+
+
+def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
+    """What a finished run did: its configuration, curve, best returns, and samples and minutes to the goal.
+
+    Raises:
+      ValueError: it was trained with other settings than the variant's.
+    """
+    held = json.loads((folder / "config.json").read_text())
+    wanted = expected(variant) | {"seed": seed}
+    wrong = [f"{key}={held['config'].get(key)}" for key, value in wanted.items() if held["config"].get(key) != value]
+    if wrong:
+        raise ValueError(f"{folder} was trained with {', '.join(wrong)}, unlike {variant.name}; move it away.")
+    lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    curve = {name: [_rounded(line[key]) for line in lines] for name, key in COLUMNS.items()}
+    return {
+        "variant": variant.name,
+        "seed": seed,
+        **{f"best_return_{reward}": max(curve[f"return_{reward}"]) for reward in REWARDS},
+        **{f"samples_to_{GOAL}_{reward}": to_goal(curve, reward, "samples") for reward in REWARDS},
+        **{f"train_s_to_{GOAL}_{reward}": to_goal(curve, reward, "train_s") for reward in REWARDS},
+        "physics_hz": held["config"]["physics_hz"],
+        "curve": curve,
+        **held,
+    }
+
+
+def expected(variant: Variant) -> dict[str, Any]:
+    """The settings that a variant fixes, flat, as a run's config.json has them."""
+    values: dict[str, Any] = {}
+    for key, value in variant.settings.items():
+        if key == "ppo":
+            values |= {f"ppo.{name}": setting for name, setting in vars(PPO_PRESETS[value]).items()}
+        else:
+            values[key] = OmegaConf.select(OmegaConf.from_dotlist([f"{key}={value}"]), key)
+    return json.loads(json.dumps(values))
+
+
+def to_goal(curve: dict[str, list[float]], reward: str, quantity: str) -> float | None:
+    """`quantity` at the first evaluation whose return is `GOAL` or more; None if there is none."""
+    reached = (i for i, value in enumerate(curve[f"return_{reward}"]) if value >= GOAL)
+    first = next(reached, None)
+    return None if first is None else curve[quantity][first]
+
+
+def summarize(variant: Variant, runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Mean and spread over the seeds of a variant; `n` of its `runs` have a value: reached the goal."""
+    quantities = [
+        *((f"best_return_{reward}", "of 300") for reward in REWARDS),
+        *((f"samples_to_{GOAL}_{reward}", "samples") for reward in REWARDS),
+        *((f"train_s_to_{GOAL}_{reward}", "s") for reward in REWARDS),
+    ]
+    rows = []
+    for quantity, unit in quantities:
+        values = [run[quantity] for run in runs if run[quantity] is not None]
+        spread = {
+            "mean": _rounded(statistics.mean(values)) if values else None,
+            "sd": _rounded(statistics.stdev(values)) if len(values) > 1 else None,
+            "min": min(values, default=None),
+            "max": max(values, default=None),
+        }
+        row = {"variant": variant.name, "physics_hz": runs[0]["physics_hz"], "quantity": quantity}
+        rows.append(row | spread | {"unit": unit, "n": len(values), "runs": len(runs)})
+    return rows
+
+
+def table(title: str, rows: Sequence[dict[str, Any]]) -> Table:
+    """The summary for reading: mean (least–greatest) over the seeds."""
+    shown = Table("variant", "reward", "best return", f"k samples to {GOAL}", f"s to {GOAL}", "reached", title=title)
+    found = {(row["variant"], row["quantity"]): row for row in rows}
+    for variant in dict.fromkeys(row["variant"] for row in rows):
+        for reward in REWARDS:
+            best, samples, seconds = (
+                found[variant, f"{quantity}_{reward}"]
+                for quantity in ("best_return", f"samples_to_{GOAL}", f"train_s_to_{GOAL}")
+            )
+            reached = f"{samples['n']} of {samples['runs']}"
+            shown.add_row(variant, reward, _span(best, 1, 1), _span(samples, 1000, 0), _span(seconds, 1, 0), reached)
+    return shown
+
+
+def _span(row: dict[str, Any], unit: float, digits: int) -> str:
+    if not row["n"]:
+        return "-"
+    mean, least, greatest = (f"{row[name] / unit:.{digits}f}" for name in ("mean", "min", "max"))
+    return f"{mean} ({least}–{greatest})"
+
+
+def draw(path: Path, runs: Sequence[dict[str, Any]]) -> None:
+    """Draw both returns over samples: for each variant the mean over its seeds, and from the least to the greatest."""
+    names = list(dict.fromkeys(run["variant"] for run in runs))
+    colours = matplotlib.colormaps["tab10" if len(names) <= 10 else "tab20"]
+    figure = Figure(figsize=(11, 4.5), layout="constrained")
+    axes = figure.subplots(1, len(REWARDS), sharey=True)
+    for axis, reward in zip(axes, REWARDS, strict=True):
+        for i, name in enumerate(names):
+            curves = [run["curve"] for run in runs if run["variant"] == name]
+            samples = np.array(curves[0]["samples"]) / 1e6
+            returns = np.array([curve[f"return_{reward}"] for curve in curves])
+            axis.plot(samples, returns.mean(axis=0), color=colours(i), label=f"{name}, {len(curves)} seeds")
+            axis.fill_between(samples, returns.min(axis=0), returns.max(axis=0), color=colours(i), alpha=0.2, lw=0)
+        axis.axhline(GOAL, color="0.6", lw=0.8, ls=":")
+        axis.set(xlabel="million samples", title=f"return by the {reward} reward", ylim=(0, 300))
+    axes[0].set_ylabel("of 300, MuJoCo C at 2 kHz")
+    axes[0].legend()
+    figure.savefig(path, dpi=90)
+
+
+def main(config: LearningConfig) -> None:
+    """Train what is missing, then write the result and draw it."""
+    paths = [cli.check_writable(path) for path in (config.out, config.plot) if path]
+    console = Console(stderr=True)
+    rows, runs = [], []
+    for variant in STUDIES[config.study]:
+        for seed in variant.seeds:
+            folder = Path(config.runs) / f"{variant.name}-seed{seed}"
+            train(folder, variant, seed)
+            runs.append(read(folder, variant, seed))
+        rows += summarize(variant, runs[-len(variant.seeds) :])
+    console.print(table(config.study, rows))
+    commits = sorted({run["provenance"]["commit"] for run in runs})
+    provenance = cli.provenance(study=config.study, commits_of_the_runs=commits)
+    if commits != [provenance["commit"]]:
+        console.print(f"The runs were made at {', '.join(commits)}, not at {provenance['commit']}.")
+    cli.write_json(paths[0], {"rows": rows, "runs": runs, "provenance": provenance})
+    if config.plot:
+        draw(Path(config.plot), runs)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.8g}")
+
+
+def _is_finished(folder: Path) -> bool:
+    last = checkpoint.latest(folder / "checkpoints")
+    if last is None:
+        return False
+    iterations = json.loads((folder / "config.json").read_text())["config"]["ppo.iterations"]
+    return checkpoint.iteration_of(last) == iterations
+
+
+if __name__ == "__main__":
+    cli.run(main, LearningConfig)

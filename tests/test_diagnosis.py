@@ -1,0 +1,91 @@
+"""Diverging physics: what is kept shows the divergence again in plain MuJoCo."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from cassie_mjx import diagnosis, reference, robot
+from cassie_mjx.config import PPOConfig
+from cassie_mjx.envs import observation
+from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx
+from cassie_mjx.physics.mjx import MjxPhysics
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.ppo import learner
+
+CONFIG = PPOConfig(num_robots=2, num_steps=4, minibatch_size=8, hidden_sizes=(16,))
+PUSH = replace(Disturbance.none(2), push=np.full((2, 3), 50.0), push_stop=np.full(2, 1000, np.int32))
+
+
+@pytest.fixture
+def native():
+    return NativePhysics(load(ModelConfig(physics_hz=500)))
+
+
+def replayed(physics, robot_1_turns_at=0.0):
+    """The divergence of a rollout of two robots that are pushed, one of which starts with a pelvis that turns."""
+    env = WalkEnv(physics, reference.resolve("walk"), WalkConfig(), 2)
+    state = env.reset_at(np.array([3, 8]), PUSH)
+    qvel = np.array(state.physics.qvel)
+    qvel[1, 3] += robot_1_turns_at
+    state = replace(state, physics=physics.init(state.physics.qpos, qvel))
+    policy = learner.init(jax.random.key(0), CONFIG, observation.SIZE, robot.NU).policy
+    return diagnosis.replay(env, CONFIG, policy, jax.tree.map(physics_array(physics), state), jax.random.key(1))
+
+
+def physics_array(physics):
+    return jnp.asarray if isinstance(physics, MjxPhysics) else np.asarray
+
+
+def stepped(folder):
+    """As the module's docstring has it."""
+    model = mujoco.MjModel.from_binary_path(str(folder / "model.mjb"))
+    before = np.load(folder / "before.npz")
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = before["qpos"], before["qvel"]
+    data.qacc_warmstart[:], data.ctrl[:] = before["qacc_warmstart"], before["target"]
+    data.body("cassie-pelvis").xfrc_applied[:3] = before["push"]
+    mujoco.mj_step(model, data, nstep=int(before["n_steps"]))
+    return data
+
+
+def test_what_diverged_diverges_in_plain_mujoco(native, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # where MuJoCo writes its warnings
+    found = replayed(native, robot_1_turns_at=1e9) or pytest.fail("no divergence")
+    assert found["qvel"][3] > 1e8
+    diagnosis.dump(tmp_path / "nan", native.model, found)
+    assert not np.isfinite(stepped(tmp_path / "nan").qpos).all()
+
+
+def test_the_step_is_the_engines(native, tmp_path, monkeypatch):
+    advance, results = NativePhysics.advance, []
+
+    def poisoned(self, *args):
+        results.append(advance(self, *args))
+        # The third step is lost.
+        return replace(results[-1], qpos=np.full((2, robot.NQ), np.nan)) if len(results) == 3 else results[-1]
+
+    monkeypatch.setattr(NativePhysics, "advance", poisoned)
+    found = replayed(native) or pytest.fail("no divergence")
+    diagnosis.dump(tmp_path / "nan", native.model, found)
+    data = stepped(tmp_path / "nan")
+    np.testing.assert_allclose(data.qpos, results[2].qpos[0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(data.qvel, results[2].qvel[0], rtol=0, atol=1e-9)
+
+
+def test_without_a_divergence_there_is_nothing_to_keep(native):
+    assert replayed(native) is None
+
+
+@pytest.mark.slow
+def test_on_mjx_the_same(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    physics = MjxPhysics(load_for_mjx(replace(MJX_TRAINING, physics_hz=500)))
+    found = replayed(physics, robot_1_turns_at=1e9) or pytest.fail("no divergence")
+    diagnosis.dump(tmp_path / "nan", physics.model, found)
+    assert not np.isfinite(stepped(tmp_path / "nan").qpos).all()

@@ -1,0 +1,40 @@
+"""Policies on the other engine: which rows there are; MuJoCo C alone, for MJX compiles for long."""
+
+import json
+
+import jax
+import pytest
+
+from cassie_mjx import reference, robot
+from cassie_mjx.config import PPOConfig
+from cassie_mjx.envs import observation
+from cassie_mjx.export import save_policy
+from cassie_mjx.ppo import learner
+from cassie_mjx.returns import referee, walk_returns
+from experiments import engines
+from experiments.engines import EnginesConfig, main
+
+
+def test_rows_are_the_returns_on_each_engine_at_each_rate(tmp_path, monkeypatch):
+    run = tmp_path / "run"
+    run.mkdir()
+    motion = reference.resolve("walk")
+    policy = learner.init(jax.random.key(0), PPOConfig(), observation.SIZE, robot.NU).policy
+    save_policy(run / "best.npz", policy, motion, 1.0, {"samples": 7})
+    (run / "config.json").write_text(json.dumps({"config": {"physics": "mjx", "physics_hz": 500}}))
+
+    natives = engines.engines
+    monkeypatch.setattr(engines, "engines", lambda rate: {"native": natives(rate)["native"]})
+    main(EnginesConfig((str(run),), (2000, 500), str(tmp_path / "out.json")))
+    rows = json.loads((tmp_path / "out.json").read_text())["rows"]
+    assert [(row["walks_on"], row["physics_hz"], row["trained_on"]) for row in rows] == [
+        ("native", 2000, "mjx"),
+        ("native", 500, "mjx"),
+    ]
+    expected = walk_returns(engines.NumpyPolicy.load(run / "best.npz"), referee(motion))
+    assert {name: rows[0][name] for name in expected} == {k: pytest.approx(v, abs=0.01) for k, v in expected.items()}
+
+
+def test_a_directory_without_a_policy_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="holds no best.npz"):
+        EnginesConfig((str(tmp_path),))

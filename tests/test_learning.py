@@ -1,0 +1,108 @@
+"""Learning studies: which settings, which runs, and the figures by hand."""
+
+import json
+from dataclasses import asdict
+from types import SimpleNamespace
+
+import pytest
+
+from cassie_mjx.training import TrainConfig
+from experiments import learning
+from experiments.learning import ACTOR, STUDIES, LearningConfig, Variant, expected, main, summarize, to_goal
+
+TWO_SEEDS = Variant("tenth", {"ppo": "paper", ACTOR: "1e-4", "walk.early_end_reward": "null"}, (0, 1))
+
+
+def fake_training(monkeypatch, status=0, changed=None):
+    """Instead of a training, the files of one: seed k returns 100 k + 200, 300 at 3000, 6000 samples."""
+    calls = []
+
+    def run(command, check):
+        calls.append(command)
+        values = dict(argument.split("=") for argument in command[3:])
+        folder = learning.Path(values["run_dir"])
+        (folder / "checkpoints" / "step_000300").mkdir(parents=True)
+        held = {"config": {"physics_hz": 500, "seed": int(values["seed"]), **expected(TWO_SEEDS), **(changed or {})}}
+        (folder / "config.json").write_text(json.dumps(held | {"provenance": {"commit": "abc"}}))
+        rows = [dict.fromkeys(learning.COLUMNS.values(), 3000.0 * k) for k in (1, 2)]
+        for k, row in enumerate(rows):
+            row["eval/return_plain"], row["eval/return_weighted"] = 200 + 100 * k * int(values["seed"]), 10
+        (folder / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+        return SimpleNamespace(returncode=status)
+
+    monkeypatch.setattr(learning, "subprocess", SimpleNamespace(run=run))
+    monkeypatch.setitem(STUDIES, "test", (TWO_SEEDS,))
+    return calls
+
+
+def study(folder):
+    main(LearningConfig("test", str(folder / "runs"), str(folder / "out.json"), str(folder / "plot.png")))
+    return json.loads((folder / "out.json").read_text())
+
+
+def test_a_study_trains_each_seed_once_and_reports_it(monkeypatch, tmp_path):
+    calls = fake_training(monkeypatch)
+    result = study(tmp_path)
+    assert [call[3:] for call in calls] == [
+        [*TWO_SEEDS.overrides, f"seed={k}", f"run_dir={tmp_path}/runs/tenth-seed{k}", "resume=true"] for k in (0, 1)
+    ]
+    assert [run["samples_to_250_plain"] for run in result["runs"]] == [None, 6000]
+    assert result["provenance"]["commits_of_the_runs"] == ["abc"]
+    best = result["rows"][0]
+    # Best returns 200 and 300: mean 250, sample standard deviation 50 sqrt(2).
+    assert (best["quantity"], best["mean"], best["min"], best["max"]) == ("best_return_plain", 250, 200, 300)
+    assert best["sd"] == pytest.approx(50 * 2**0.5)
+    assert (tmp_path / "plot.png").stat().st_size > 1000
+
+    study(tmp_path)
+    assert len(calls) == 2, "finished runs are not repeated"
+
+
+def test_a_run_with_other_settings_is_not_reported(monkeypatch, tmp_path):
+    fake_training(monkeypatch, changed={"walk.early_end_reward": 0.6})
+    with pytest.raises(ValueError, match="was trained with walk.early_end_reward=0.6, unlike tenth"):
+        study(tmp_path)
+    assert not (tmp_path / "out.json").exists()
+
+
+def test_a_training_that_fails_ends_the_study(monkeypatch, tmp_path):
+    fake_training(monkeypatch, status=130)
+    with pytest.raises(ValueError, match="tenth-seed0 ended with status 130; the same command goes on from there."):
+        study(tmp_path)
+
+
+def test_the_goal_is_reached_at_the_first_evaluation_at_or_over_it():
+    curve = {"samples": [10.0, 20.0, 30.0, 40.0], "return_plain": [249.9, 250.0, 100.0, 290.0]}
+    assert to_goal(curve, "plain", "samples") == 20
+    assert to_goal({"samples": [10.0], "return_plain": [249.9]}, "plain", "samples") is None
+
+
+def test_what_is_never_reached_has_no_mean():
+    quantities = [f"{name}_{reward}" for name in ("best_return", "samples_to_250") for reward in ("plain", "weighted")]
+    run = dict.fromkeys([*quantities, "train_s_to_250_plain", "train_s_to_250_weighted"]) | {"physics_hz": 500}
+    rows = summarize(TWO_SEEDS, [run, run | {"samples_to_250_plain": 7.0}])
+    assert {row["quantity"]: row["mean"] for row in rows if row["n"]} == {"samples_to_250_plain": 7.0}
+    assert {row["runs"] for row in rows} == {2}
+
+
+def test_studies_fix_settings_that_exist_and_share_runs_by_name():
+    flat = {}
+    for name, value in asdict(TrainConfig()).items():
+        flat |= {f"{name}.{part}": None for part in value} if isinstance(value, dict) else {name: None}
+    seen = {}
+    for variant in (variant for variants in STUDIES.values() for variant in variants):
+        assert expected(variant).keys() <= flat.keys()
+        assert seen.setdefault(variant.name, variant.settings) == variant.settings
+
+
+def test_overrides_read_as_a_run_records_them():
+    wanted = expected(TWO_SEEDS)
+    assert wanted["ppo.critic_learning_rate"] == 1e-2
+    assert wanted["ppo.actor_learning_rate"] == 1e-4
+    assert wanted["walk.early_end_reward"] is None
+    assert wanted["ppo.hidden_sizes"] == [256, 256]
+
+
+def test_an_unknown_study_is_refused():
+    with pytest.raises(ValueError, match="study='song' is not known; choose one of walking, reward, rate, paper"):
+        LearningConfig("song")
