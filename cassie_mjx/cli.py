@@ -12,7 +12,6 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_origin
 
-import jax
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -62,8 +61,9 @@ def run(main: Callable[[C], None], config_class: type[C]) -> None:
 
 
 def keep_compiled_programs() -> None:
-    """Keep what XLA compiles in a folder of the user's, unless the environment names another one."""
-    if not jax.config.jax_compilation_cache_dir:
+    """Keep what XLA compiles, if JAX is in use, in a folder of the user's unless the environment names another one."""
+    jax = sys.modules.get("jax")
+    if jax and not jax.config.jax_compilation_cache_dir:
         jax.config.update("jax_compilation_cache_dir", str(Path.home() / ".cache" / "cassie-mjx"))
 
 
@@ -92,8 +92,13 @@ def provenance(**more: Any) -> dict[str, Any]:
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write `content` to `path` whole or not at all."""
+    write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write `text` to `path` whole or not at all."""
     partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps(content, indent=1) + "\n")
+    partial.write_text(text)
     partial.replace(path)
 
 
