@@ -39,6 +39,7 @@ FORBIDDEN = {
         "mujoco",
         "brax",
     },
+    **{f"experiments.{name}": {"jax", "mujoco", "brax"} for name in ("report", "page", "tables", "plots")},
 }
 
 

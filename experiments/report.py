@@ -1,0 +1,221 @@
+"""What has been measured, as one web page and in the README: `python -m experiments.report out=report/index.html`.
+
+With `readme=README.md` the part of that file between the two markers is written anew. Everything comes from
+`experiments/results`; what has no result file yet is said to have none. Imports neither JAX nor MuJoCo.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from cassie_mjx import cli
+from experiments import page, plots, tables
+from experiments.page import drawn, section, table
+from experiments.tables import Result, Table, blaming, find, walkers
+
+MARKERS = ("<!-- results, written by `make report` -->", "<!-- end of results -->")
+
+STUDIES = {
+    "walking": "Learning to walk",
+    "reward": "Learning from the weighted reward, and from the plain one",
+    "rate": "Learning with physics at 500 Hz, and at 1 kHz",
+    "paper": "The paper's learner as printed, and readings that differ in one point",
+}
+"""Studies of `experiments.learning`, and what they are about."""
+
+
+@dataclass(frozen=True)
+class ReportConfig:
+    """Where from, and where to."""
+
+    results: str = "experiments/results"
+    """Folder of the result files."""
+    out: str = "report/index.html"
+    """The web page; a folder that is missing is made."""
+    readme: str = ""
+    """Markdown file with the two markers, whose text between them is written anew; none if empty."""
+
+
+INTRODUCTION = (
+    "Paper: Xie, Berseth, Clary, Hurst, van de Panne, Feedback Control For Cassie With Deep Reinforcement Learning "
+    "(IROS 2018). Figures of ours were measured in MuJoCo C at 2 kHz with deterministic policies unless said "
+    "otherwise. Files, commands, hardware and dates stand under Sources."
+)
+
+DEFINITIONS = (
+    "A fall is a pelvis lower than 0.6 m or higher than 1.2 m over the ground. Returns are means over 10 starting "
+    "phases of 300 steps. A push lasts 0.2 s; its limit is the largest force, in 10 N steps, for which it and every "
+    "smaller one was survived for 4 s, at the worst and in the median of 8 phases of the stride; sideways is the "
+    "weaker side. Heights h and delays are survived for 10 s from 8 and 10 phases."
+)
+
+
+def whole_page(folder: Path) -> str:
+    """The web page, which needs no other file."""
+    sections = [compared(folder), *learned(folder), pushed(folder), survived(folder), strode(folder), sped(folder)]
+    return page.document("Cassie MJX: what has been measured", INTRODUCTION, sections)
+
+
+def compared(folder: Path) -> str:
+    """The tables beside the paper's, and every figure of every seed."""
+    results = [result for _, found in walkers(folder) for result in found]
+    parts = [table(tables.beside_the_paper(folder))]
+    if results:
+        parts.append(f"<details><summary>Every figure of every walker</summary>{table(all_figures(results))}</details>")
+    return section("Beside the paper", DEFINITIONS, "".join(parts), results)
+
+
+def all_figures(results: Sequence[Result]) -> Table:
+    """Every quantity of these evaluations, a column each."""
+    units = {row["quantity"]: row["unit"] for result in results for row in result.content["rows"]}
+    rows = []
+    for quantity, unit in units.items():
+        values = [result.value(quantity) for result in results]
+        cells = [tables.NO_FIGURE if value is None else f"{value:.5g}" for value in values]
+        rows.append((quantity, *cells, unit))
+    return Table(("quantity", *(result.name for result in results), "unit"), rows, [])
+
+
+def learned(folder: Path) -> list[str]:
+    """Learning curves by samples, and those of the walk by time."""
+    sections = []
+    for study, title in STUDIES.items():
+        shown, found = [], find(folder, f"{study}.json")
+        for result in found:
+            with blaming(folder / result.name):
+                runs = result.content["runs"]
+                shown.append((plots.learning(runs, "samples"), "Plain return over samples."))
+                shown.append((plots.learning(runs, "samples", "weighted"), "Weighted return over samples."))
+                if study == "walking":
+                    shown.append((plots.learning(runs, "train_s"), "Plain return over the time of training."))
+        text = "Mean over n training seeds; shaded from the least to the greatest."
+        command = f"python -m experiments.learning study={study} out=experiments/results/{study}.json"
+        sections.append(section(title, text, drawn(shown), found, command))
+    return sections
+
+
+def pushed(folder: Path) -> str:
+    """Polar maps of pushes survived, all to the same scale."""
+    found = walkers(folder, "map")
+    maps = [(walker, len(results), mean_map(folder, results)) for walker, results in found]
+    reach_n = max((shares.farthest_n for *_, shares in maps), default=0)
+    shown = [(plots.push_map(shares, reach_n), f"{walker}, n = {n}.") for walker, n, shares in maps]
+    text = "Share of 8 phases at which a push was survived, mean over n policies. Dashed: the limits of the paper's, N."
+    command = "python -m cassie_mjx.evaluate policy=1x suite=map out=experiments/results/map/1x-seed0.json"
+    return section("Pushes from all sides", text, drawn(shown), [r for _, results in found for r in results], command)
+
+
+def mean_map(folder: Path, results: Sequence[Result]) -> plots.PushMap:
+    """The mean over results, one a seed, of the share of phases at which each push was survived."""
+    maps = []
+    for result in results:
+        with blaming(folder / result.name):
+            cells = result.content["map"]
+            survived = np.array([[[int(digit) for digit in row] for row in phases] for phases in cells["survived"]])
+            if survived.shape != tuple(len(cells[axis]) for axis in ("directions_deg", "phases", "forces_N")):
+                raise ValueError(f"a map of shape {survived.shape} does not fit its axes")
+            maps.append(plots.PushMap(survived.mean(axis=1), cells["directions_deg"], cells["forces_N"]))
+    return maps[0]._replace(shares=np.mean([one.shares for one in maps], axis=0))
+
+
+def survived(folder: Path) -> str:
+    """Share of robots that stay up over the height of the terrain, and over the delay of the senses."""
+    found = walkers(folder, "survival")
+    shown = []
+    for quantity, label, paper in (
+        ("terrain_survived", "height h of the terrain z = h sin x, m", [("paper: controller", 0.07), ("policy", 0.15)]),
+        ("delay_survived", "age of what policy and PD loop see, ms", [("paper: walks", 5), ("falls", 10)]),
+    ):
+        series = [survival_series(folder, walker, results, quantity) for walker, results in found]
+        if series:
+            shown.append((plots.survival(series, label, paper), "Height of a band: share of the starts up after 10 s."))
+    text = (
+        "Blind over terrain, and with old senses: the share of starting phases from which a walker stays up for 10 s."
+    )
+    command = "python -m experiments.survival policy=1x out=experiments/results/survival/1x-seed0.json"
+    return section("Terrain and delay", text, drawn(shown), [r for _, results in found for r in results], command)
+
+
+def survival_series(folder: Path, walker: str, results: Sequence[Result], quantity: str) -> plots.Series:
+    """The mean over results, one a seed, of the shares that stay up at each level."""
+    levels, shares = [], []
+    for result in results:
+        with blaming(folder / result.name):
+            cells = [row for row in result.content["rows"] if row["quantity"] == quantity]
+            if not cells:
+                raise ValueError(f"no rows of {quantity}")
+            levels.append([row["level"] for row in cells])
+            shares.append([row["value"] for row in cells])
+    return plots.Series(walker, levels[0], np.mean(shares, axis=0).tolist())
+
+
+def strode(folder: Path) -> str:
+    """A policy's stride beside the reference's."""
+    shown, sources = [], find(folder, "stride_*.json")
+    for result in sources:
+        with blaming(folder / result.name):
+            name = result.name.removeprefix("stride_").removesuffix(".json")
+            for joint, curves in result.content["joints"].items():
+                shown.append((plots.joint(joint, result.content["time_s"], curves), f"{name}: {joint}."))
+            shown.append((plots.feet(result.content["feet"]), f"{name}: where the feet stood."))
+    text = (
+        "Joint angles over one stride of steady walking, and the places of the feet. Dashed and rings: the reference."
+    )
+    command = "python -m experiments.stride policy=1x out=experiments/results/stride_1x.json"
+    return section("The stride", text, drawn(shown), sources, command)
+
+
+def sped(folder: Path) -> str:
+    """Other speeds, and blends of policies."""
+    shown, sources = [], [*find(folder, "speeds.json"), *find(folder, "interpolation.json")]
+    for result in sources:
+        with blaming(folder / result.name):
+            curves = result.content.get("rides") or {"profile": result.content["profile"]}
+            caption = "{}: speed; dashed as told; shaded from the least to the greatest of the robots up."
+            shown += [(plots.ride(curve), caption.format(name)) for name, curve in curves.items()]
+    compared = tables.speeds_and_blends(folder)
+    body = (table(compared) if compared else "") + drawn(shown)
+    command = "python -m experiments.speeds out=experiments/results/speeds.json"
+    return section("Speeds and blends", "Policies for other speeds, and changing between them.", body, sources, command)
+
+
+def block(folder: Path) -> str:
+    """What stands between the markers of the README."""
+    found = [tables.beside_the_paper(folder), tables.speeds_and_blends(folder)]
+    return "\n\n".join(tables.markdown(content) for content in found if content)
+
+
+def with_block(text: str, content: str) -> str:
+    """The README with `content` between its markers.
+
+    Raises:
+      ValueError: it has no two markers, each once, in order.
+    """
+    start, end = MARKERS
+    before, found, rest = text.partition(start)
+    _, closed, after = rest.partition(end)
+    if not found or not closed or start in after or end in after:
+        raise ValueError(f"The file for the table needs the lines {start} and {end}, once each and in this order.")
+    return f"{before}{start}\n\n{content}\n\n{end}{after}"
+
+
+def main(config: ReportConfig) -> None:
+    """Write the page and the README's table."""
+    folder = Path(config.results)
+    if not folder.is_dir():
+        raise ValueError(f"results={folder} is not a folder; name the one with the result files.")
+    Path(config.out).parent.mkdir(exist_ok=True)
+    texts = {cli.check_writable(config.out): whole_page(folder)}
+    if config.readme:
+        path = cli.check_writable(config.readme)
+        texts[path] = with_block(path.read_text(), block(folder))
+    for path, text in texts.items():
+        cli.write_text(path, text)
+        Console(stderr=True).print(f"{path}, {len(text) / 1e3:.0f} kB")
+
+
+if __name__ == "__main__":
+    cli.run(main, ReportConfig)
