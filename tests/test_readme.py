@@ -1,0 +1,68 @@
+"""Figures in the README's prose and hand-written tables against the result files that they were taken from."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+TEXT = " ".join((ROOT / "README.md").read_text().split())
+
+
+def rows(result, **wanted):
+    content = json.loads((ROOT / "experiments" / "results" / f"{result}.json").read_text())
+    return [row for row in content["rows"] if wanted.items() <= row.items()]
+
+
+def loops(engine, iterations, physics_hz=2000, loops="ours"):
+    return rows("solver", engine=engine, iterations=iterations, physics_hz=physics_hz, loops=loops)[0]
+
+
+def rate(engine, contacts, physics_hz=1000):
+    return rows("throughput", engine=engine, contacts=contacts, physics_hz=physics_hz, robots=256)[0]
+
+
+def solver_lines():
+    for hertz, name in ((2000, "2 kHz"), (1000, "1 kHz"), (500, "500 Hz")):
+        for ours, theirs in (("2/50", "2/4"), ("4/50", "4/6")):
+            native, mjx = loops("native", ours, hertz), loops("mjx", theirs, hertz)
+            errors = f"{native['loop_error_max_mm']:.3f} / {mjx['loop_error_max_mm']:.3f}"
+            rates = f"{round(native['steps_per_s'], -2):,} / {round(mjx['steps_per_s'], -2):,}"
+            yield f"| {ours.split('/')[0]}, {name} | {errors} | {rates} |"
+
+
+def quoted():
+    """Pieces of the README, each with its figures filled in from a result."""
+    ours, published = loops("native", "100/50"), loops("native", "100/50", loops="published")
+    yield f"at most {ours['loop_error_max_mm']:.2f} mm instead of {published['loop_error_max_mm']:.1f} mm"
+    yield from solver_lines()
+    native, mjx, every = rate("native", "referee"), rate("mjx", "walking"), rate("mjx", "published")
+    yield f"| {round(native['steps_per_s'], -3):,}, {native['of_bare_loop']:.2f} times a bare loop in C |"
+    faster = mjx["steps_per_s"] / every["steps_per_s"]
+    yield f"| {round(mjx['steps_per_s'], -3):,}, {faster:.2f} times its own with all published contacts |"
+    yield f"({round(rate('mjx', 'referee')['steps_per_s'], -2):,} steps/s with the referee's)"
+    yield f"{mjx['compile_s']:.0f} s, then cached"
+
+
+def bounds():
+    """Patterns of the README, each with the measured figure that the one found must bound closely."""
+    converged = rows("agreement", comparison="qacc, float64, converged")
+    yield r"agrees with MuJoCo C to (\S+) rad/s²", max(row["difference_max"] for row in converged)
+    yield r"off by up to (\S+) rad/s²", max(row["difference_max_without_bias"] for row in converged)
+    moving = rows("agreement", control_steps=10)
+    yield r"pelvis is within (\S+) mm after 10 control steps", max(row["pelvis_difference_max_mm"] for row in moving)
+    legs = [row for row in rows("contacts", push_N=60.0) if re.search("tarsus.*foot|foot.*tarsus", row["pair"])]
+    yield r"by up to (\S+) mm: the referee", max(-row["smallest_distance_mm"] for row in legs)
+
+
+@pytest.mark.parametrize("piece", list(quoted()))
+def test_what_the_readme_quotes_is_what_was_measured(piece):
+    assert piece in TEXT
+
+
+@pytest.mark.parametrize(("pattern", "measured"), list(bounds()))
+def test_bounds_in_the_readme_hold_and_are_close(pattern, measured):
+    found = re.search(pattern, TEXT)
+    assert found
+    assert 0.99 * measured <= float(found[1]) <= 1.1 * measured
