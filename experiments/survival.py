@@ -1,0 +1,83 @@
+"""Who stays up, level by level: `python -m experiments.survival policy=1x out=FILE.json`.
+
+`cassie_mjx.evaluate` looks for limits; here every height of the terrain and every delay is walked from all starts, in
+MuJoCo C at 2 kHz, also those beyond a level that was not survived. Nothing in it is random.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from cassie_mjx import cli, subjects
+from cassie_mjx.suites import (
+    HIGHEST_TERRAIN_M,
+    LIMIT_PHASES,
+    LONGEST_DELAY_S,
+    TERRAIN_STEP_M,
+    WALK_PHASES,
+    WALK_S,
+    Setting,
+)
+from cassie_mjx.sweeps import fly
+from cassie_mjx.trials import Subject, Trial
+
+DELAY_STEP_MS = 1.0
+
+
+@dataclass(frozen=True)
+class SurvivalConfig:
+    """What walks."""
+
+    policy: str = "1x"
+    """A walker, as `cassie_mjx.evaluate` takes it."""
+    out: str = "survival.json"
+    """Result file."""
+
+
+def terrain(subject: Subject, setting: Setting) -> list[dict[str, Any]]:
+    """The share of 8 starts that walk 10 s over the terrain z = h sin x, h from 0 to 0.4 m."""
+    levels = np.arange(0, HIGHEST_TERRAIN_M + TERRAIN_STEP_M / 2, TERRAIN_STEP_M).round(9).tolist()
+    trials = [Trial(start, WALK_S, terrain=h) for h in levels for start in range(len(LIMIT_PHASES))]
+    starts = setting.starts(subject, LIMIT_PHASES)
+    result = fly(subject, setting.physics("terrain"), starts, trials, setting.watch, setting.lanes)
+    return rows(subject.name, "terrain_survived", "m", levels, ~result.fell)
+
+
+def delay(subject: Subject, setting: Setting) -> list[dict[str, Any]]:
+    """The share of 10 starts that walk 10 s sensing what was up to 20 ms ago."""
+    physics = setting.physics(longest_delay_s=LONGEST_DELAY_S)
+    step_ms = 1000 * physics.model.opt.timestep
+    levels = np.arange(0, 1000 * LONGEST_DELAY_S + DELAY_STEP_MS / 2, DELAY_STEP_MS).tolist()
+    late = [round(level / step_ms) for level in levels]
+    trials = [Trial(start, WALK_S, delay=steps) for steps in late for start in range(len(WALK_PHASES))]
+    starts = setting.starts(subject, WALK_PHASES, LONGEST_DELAY_S)
+    result = fly(subject, physics, starts, trials, setting.watch, setting.lanes)
+    return rows(subject.name, "delay_survived", "ms", levels, ~result.fell)
+
+
+def rows(name: str, quantity: str, level_unit: str, levels: Sequence[float], up: np.ndarray) -> list[dict[str, Any]]:
+    """A row for each level of a disturbance, from whether the robots stayed up, [level x start]."""
+    shares = up.reshape(len(levels), -1)
+    row = {"subject": name, "quantity": quantity, "unit": "1", "n": shares.shape[1], "level_unit": level_unit}
+    return [
+        row | {"level": level, "value": float(share)} for level, share in zip(levels, shares.mean(axis=1), strict=True)
+    ]
+
+
+def main(config: SurvivalConfig) -> None:
+    """Walk all levels and write the result."""
+    out = cli.check_writable(config.out)
+    subject, console = subjects.resolve(config.policy), Console(stderr=True)
+    with console.status("walking") as status:
+        setting = Setting(watch=lambda over, walking: status.update(f"{over} trials over, {walking} robots walking"))
+        found = [*terrain(subject, setting), *delay(subject, setting)]
+    for row in found:
+        console.print(f"{row['quantity']:17} {row['level']:5g} {row['level_unit']:2} {row['value']:.2f}")
+    cli.write_json(out, {"rows": found, "provenance": cli.provenance()})
+
+
+if __name__ == "__main__":
+    cli.run(main, SurvivalConfig)

@@ -1,0 +1,29 @@
+"""Who stays up, level by level: shares by hand, and a walker that walks on."""
+
+import json
+
+import numpy as np
+
+from experiments import survival
+from experiments.survival import SurvivalConfig, main, rows
+
+
+def test_a_share_is_that_of_the_starts_of_a_level():
+    up = np.array([True, True, True, False])
+    found = rows("walker", "terrain_survived", "m", [0.0, 0.2], up)
+    assert [(row["level"], row["value"], row["n"]) for row in found] == [(0.0, 1.0, 2), (0.2, 0.5, 2)]
+
+
+def test_levels_from_none_on_are_walked(monkeypatch, tmp_path):
+    for name, value in {
+        **{"WALK_S": 0.5, "HIGHEST_TERRAIN_M": 0.4, "TERRAIN_STEP_M": 0.4, "DELAY_STEP_MS": 20.0},
+        **{"LIMIT_PHASES": np.zeros(1), "WALK_PHASES": np.zeros(2)},
+    }.items():
+        monkeypatch.setattr(survival, name, value)
+    main(SurvivalConfig("1x", str(tmp_path / "a.json")))
+    found = json.loads((tmp_path / "a.json").read_text())["rows"]
+    assert [(row["quantity"], row["level"], row["level_unit"], row["n"]) for row in found] == [
+        *(("terrain_survived", level, "m", 1) for level in (0.0, 0.4)),
+        *(("delay_survived", level, "ms", 2) for level in (0.0, 20.0)),
+    ]
+    assert found[0]["value"] == found[2]["value"] == 1
