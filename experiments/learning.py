@@ -3,7 +3,7 @@
 A study trains each of its variants once a seed, one run after another, by `python -m cassie_mjx.train`, and then reads
 what the runs wrote. Runs that are finished are not repeated and one that was interrupted goes on, so the same command
 completes a study that was stopped; studies that share a variant share its runs. Returns do not depend on what else the
-machine does, seconds do: compare those only if it was quiet. With `plot=FILE.png` the curves are drawn.
+machine does, seconds do: compare those only if it was quiet. With `plot=FILE.png` the plain return is drawn.
 """
 
 import json
@@ -15,15 +15,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-import numpy as np
-from matplotlib.figure import Figure
 from omegaconf import OmegaConf
 from rich.console import Console
 from rich.table import Table
 
 from cassie_mjx import checkpoint, cli
 from cassie_mjx.config import PPO_PRESETS
+from experiments import plots
 
 # The return that the paper reports.
 GOAL = 250
@@ -204,26 +202,6 @@ def _span(row: dict[str, Any], unit: float, digits: int) -> str:
     return f"{mean} ({least}–{greatest})"
 
 
-def draw(path: Path, runs: Sequence[dict[str, Any]]) -> None:
-    """Draw both returns over samples: for each variant the mean over its seeds, and from the least to the greatest."""
-    names = list(dict.fromkeys(run["variant"] for run in runs))
-    colours = matplotlib.colormaps["tab10" if len(names) <= 10 else "tab20"]
-    figure = Figure(figsize=(11, 4.5), layout="constrained")
-    axes = figure.subplots(1, len(REWARDS), sharey=True)
-    for axis, reward in zip(axes, REWARDS, strict=True):
-        for i, name in enumerate(names):
-            curves = [run["curve"] for run in runs if run["variant"] == name]
-            samples = np.array(curves[0]["samples"]) / 1e6
-            returns = np.array([curve[f"return_{reward}"] for curve in curves])
-            axis.plot(samples, returns.mean(axis=0), color=colours(i), label=f"{name}, {len(curves)} seeds")
-            axis.fill_between(samples, returns.min(axis=0), returns.max(axis=0), color=colours(i), alpha=0.2, lw=0)
-        axis.axhline(GOAL, color="0.6", lw=0.8, ls=":")
-        axis.set(xlabel="million samples", title=f"return by the {reward} reward", ylim=(0, 300))
-    axes[0].set_ylabel("of 300, MuJoCo C at 2 kHz")
-    axes[0].legend()
-    figure.savefig(path, dpi=90)
-
-
 def main(config: LearningConfig) -> None:
     """Train what is missing, then write the result and draw it."""
     paths = [cli.check_writable(path) for path in (config.out, config.plot) if path]
@@ -242,7 +220,7 @@ def main(config: LearningConfig) -> None:
         console.print(f"The runs were made at {', '.join(commits)}, not at {provenance['commit']}.")
     cli.write_json(paths[0], {"rows": rows, "runs": runs, "provenance": provenance})
     if config.plot:
-        draw(Path(config.plot), runs)
+        plots.learning(runs, "samples").savefig(config.plot, dpi=150)
 
 
 def _rounded(value: float) -> float:
