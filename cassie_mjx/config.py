@@ -167,3 +167,12 @@ def speed_factor(speed: str) -> float:
     if not 0 <= factor <= 4:
         raise ValueError(f"speed={speed} is not a speed; give a factor from 0x to 4x, such as 2x or 1.5x.")
     return factor
+
+
+def speed_range(speed: str) -> tuple[float, float]:
+    """Lowest and highest factor of a training's speed: twice that of "2x", 0 and 4 of "any".
+
+    Raises:
+        ValueError: it is neither "any" nor a factor from 0 to 4.
+    """
+    return (0.0, 4.0) if speed == "any" else (speed_factor(speed),) * 2
