@@ -71,7 +71,7 @@ def sample(motion: ReferenceMotion, phase: Array, stride: Array) -> tuple[Array,
       phase: control steps since the stride began, [B], integers; beyond 0..N-1 it wraps and carries into `stride`.
       stride: strides completed before, [B], integers; each has taken pelvis x `stride_length` forward.
     """
-    xp = namespace(motion.qpos, phase, stride)
+    xp = _namespace(motion.qpos, phase, stride)
     samples = motion.qpos.shape[0]
     qpos, qvel = (xp.asarray(states)[phase % samples] for states in (motion.qpos, motion.qvel))
     # x(k + n N) = x(k) + n L
@@ -93,7 +93,7 @@ def stretch(motion: ReferenceMotion, factor: float) -> ReferenceMotion:
 
 def stretch_states(qpos: Array, qvel: Array, factor: Array) -> tuple[Array, Array]:
     """States [..., 35] and [..., 32] of a motion at `factor` [...] times its speed; a factor of 1 changes no bit."""
-    xp = namespace(qpos, factor)
+    xp = _namespace(qpos, factor)
     scale_q, scale_v = (
         xp.where(np.arange(states.shape[-1]) == column, xp.asarray(factor, states.dtype)[..., None], 1)
         for states, column in ((qpos, _X), (qvel, _VX))
@@ -124,14 +124,9 @@ def blend(a: ReferenceMotion, b: ReferenceMotion, lam: Array) -> ReferenceMotion
     )
 
 
-def namespace(*arrays: Array) -> ModuleType:
-    """The module, jax.numpy or numpy, whose arrays these are."""
-    return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
-
-
 def mix_qpos(a: Array, b: Array, lam: Array) -> Array:
     """The configurations lambda a + (1 - lambda) b, [..., 35]; quaternions along the shorter way, renormalised."""
-    xp = namespace(a, b, lam)
+    xp = _namespace(a, b, lam)
     ones = xp.ones_like(a[..., :1])
     dots = xp.sum(a[..., _QUATERNIONS] * b[..., _QUATERNIONS], axis=-1)
     sign = xp.concatenate([xp.where(dots < 0, -ones, ones), ones], axis=-1)[..., _QUATERNION_OF]
@@ -302,6 +297,10 @@ def velocity_error(motion: ReferenceMotion, model: mujoco.MjModel) -> np.ndarray
     # qdot_k = (q_{k+1} - q_{k-1}) / (2 dt)
     moves = np.array([_difference(model, a, b) for a, b in zip(before, after, strict=True)])
     return np.abs(motion.qvel - moves / (2 * CONTROL_PERIOD_S)).max(axis=0)
+
+
+def _namespace(*arrays: Array) -> ModuleType:
+    return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
 
 
 def _difference(model: mujoco.MjModel, start: np.ndarray, end: np.ndarray) -> np.ndarray:
