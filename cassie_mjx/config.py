@@ -169,10 +169,12 @@ def speed_factor(speed: str) -> float:
     return factor
 
 
-def speed_range(speed: str) -> tuple[float, float]:
-    """Lowest and highest factor of a training's speed: twice that of "2x", 0 and 4 of "any".
+def speed_factors(speed: str) -> tuple[float, tuple[float, float]]:
+    """What a training's speed asks for: a factor on the motion, and the range of those drawn for each episode on top.
+
+    "2x" is 2 and (1, 1); "any" is 1 and (0, 4).
 
     Raises:
         ValueError: it is neither "any" nor a factor from 0 to 4.
     """
-    return (0.0, 4.0) if speed == "any" else (speed_factor(speed),) * 2
+    return (1.0, (0.0, 4.0)) if speed == "any" else (speed_factor(speed), (1.0, 1.0))

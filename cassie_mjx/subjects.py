@@ -30,8 +30,8 @@ def resolve(name: str, speed: str | None = None, schedule: str | None = None) ->
     """The subject of that name: a policy, a blend of policies, or a controller.
 
     Args:
-      name: a policy that we ship, its .npz file or a training run's directory; "blend:POLICY,POLICY,..." with as many as
-        you like; "controller:NAME".
+      name: a policy that we ship, its .npz file or a training run's directory; "blend:POLICY,POLICY,...", two or
+        more; "controller:NAME".
       speed: at which a policy is told to walk, such as "2.5x"; None for the one it was trained at, 1x if at any.
       schedule: how a blend goes from its first policy to its last, one of `SCHEDULES`.
 

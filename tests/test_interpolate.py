@@ -1,6 +1,7 @@
 """Blends of policies and references, their schedules, and the subjects that walk by them."""
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ from cassie_mjx.subjects import BlendSubject
 
 PHASES = np.array([0, 7, 21, 30])
 ROBOTS = len(PHASES)
+NO_ENGINE: Any = None
 
 
 @pytest.fixture(scope="module")
@@ -116,25 +118,27 @@ def test_pelvis_x_advances_without_a_jump_while_lambda_falls(motions):
     assert constant.sum() == pytest.approx(1.5 * motions[0].stride_length)
 
 
-def progress(step=0, speed=0.0):
-    step, speed = np.atleast_1d(np.asarray(step, np.int32)), np.atleast_1d(np.asarray(speed, float))
-    return Progress(np.zeros_like(step), step, speed)
+def at(steps):
+    return Progress(np.zeros(len(steps), np.int32), np.array(steps, np.int32), np.zeros(len(steps)))
+
+
+def going(speeds):
+    zero = np.zeros(len(speeds), np.int32)
+    return Progress(zero, zero, np.array(speeds))
 
 
 def test_ramp_at_known_times():
     # lambda = 1 - 0.625 t reaches 0 after 1.6 s, 50 control steps; it stays for 4 s, comes back, stays and goes again.
     steps = [0, 25, 50, 100, 175, 200, 225, 300, 350, 375]
-    np.testing.assert_allclose(
-        interpolate.ramp(progress(steps), [0.7, 1.4]), [0, 0.5, 1, 1, 1, 0.5, 0, 0, 0, 0.5], atol=1e-9
-    )
+    np.testing.assert_allclose(interpolate.ramp(at(steps), [0.7, 1.4]), [0, 0.5, 1, 1, 1, 0.5, 0, 0, 0, 0.5], atol=1e-9)
     # Four policies take three times as long: position 1.5 after 2.4 s, and back there 4.8 + 4 + 2.4 s after the start.
-    np.testing.assert_allclose(interpolate.ramp(progress([75, 200, 350]), [0, 1, 2, 3]), [1.5, 3, 1.5], atol=1e-9)
+    np.testing.assert_allclose(interpolate.ramp(at([75, 200, 350]), [0, 1, 2, 3]), [1.5, 3, 1.5], atol=1e-9)
 
 
 def test_adaptive_follows_the_speed_within_the_chain():
-    ours = interpolate.adaptive(progress(np.zeros(5, int), [0.2, 0.7, 0.875, 1.4, 2.0]), [0.7, 1.4])
+    ours = interpolate.adaptive(going([0.2, 0.7, 0.875, 1.4, 2.0]), [0.7, 1.4])
     np.testing.assert_allclose(ours, [0, 0, 0.25, 1, 1], atol=1e-12)
-    np.testing.assert_allclose(interpolate.adaptive(progress(speed=1.5), [0.0, 1.0, 2.0]), [1.5])
+    np.testing.assert_allclose(interpolate.adaptive(going([1.5]), [0.0, 1.0, 2.0]), [1.5])
 
 
 def test_the_filter_settles_exponentially():
@@ -155,8 +159,8 @@ def test_a_blend_walks_as_its_policies_at_the_ends_of_the_ramp(policy_files, sta
     phase = np.array([0, 7, 21, 3], np.int32)
     for step, path in ((0, policy_files[0]), (50, policy_files[1])):
         memory = Progress(phase, np.full(ROBOTS, step, np.int32), np.full(ROBOTS, 0.7, np.float32))
-        ours, after = blend.act(None, seen(states), memory)
-        theirs, _ = subjects.resolve(str(path)).act(None, seen(states), phase)
+        ours, after = blend.act(NO_ENGINE, seen(states), memory)
+        theirs, _ = subjects.resolve(str(path)).act(NO_ENGINE, seen(states), phase)
         np.testing.assert_allclose(ours, theirs, atol=1e-5)
         np.testing.assert_array_equal(after.phase, [1, 8, 0, 4])
         np.testing.assert_array_equal(after.step, step + 1)
@@ -169,8 +173,8 @@ def test_an_adaptive_blend_takes_the_policy_of_the_robots_speed(policy_files, st
     phase = np.zeros(ROBOTS, np.int32)
     for speed, path in ((0.3, policy_files[0]), (2.0, policy_files[1])):
         qvel[:, 0] = speed
-        ours, _ = blend.act(None, seen((qpos, qvel)), Progress(phase, phase, np.full(ROBOTS, speed, np.float32)))
-        theirs, _ = subjects.resolve(str(path)).act(None, seen((qpos, qvel)), phase)
+        ours, _ = blend.act(NO_ENGINE, seen((qpos, qvel)), Progress(phase, phase, np.full(ROBOTS, speed, np.float32)))
+        theirs, _ = subjects.resolve(str(path)).act(NO_ENGINE, seen((qpos, qvel)), phase)
         np.testing.assert_allclose(ours, theirs, atol=1e-5)
 
 

@@ -1,5 +1,7 @@
 """The experiments on speed: what a ride's figures mean, the profile, and robots that follow it."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -62,7 +64,7 @@ class Standing:
 
 
 def test_robots_are_told_the_speed_of_each_step():
-    policy = Standing()
+    policy: Any = Standing()
     ride = follow(policy, np.repeat([1.0, 3.0], 20), starts=2)
     assert ride.fell.all(), "the reference angles alone do not walk"
     commanded = 0.5001 / 0.704
