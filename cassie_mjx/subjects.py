@@ -39,7 +39,8 @@ def resolve(name: str, speed: str | None = None, schedule: str | None = None) ->
       ValueError: there is no such subject, or it takes no such speed or schedule.
     """
     if name.startswith(BLEND_PREFIX) != (schedule is not None):
-        raise ValueError(f"policy={name} with schedule={schedule}: a blend takes a schedule, and nothing else does.")
+        known = " or ".join(SCHEDULES)
+        raise ValueError(f"policy={name} with schedule={schedule}: a blend, and nothing else, takes schedule={known}.")
     if speed is not None and name.startswith((BLEND_PREFIX, CONTROLLER_PREFIX)):
         raise ValueError(f"policy={name} with speed={speed}: a single policy takes a speed, and nothing else does.")
     if schedule is not None:

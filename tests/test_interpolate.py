@@ -190,9 +190,9 @@ def test_bad_blends_get_one_sentence(policy_files, motions, tmp_path):
         subjects.resolve(f"blend:{first}", schedule="ramp")
     with pytest.raises(ValueError, match="schedule=sine is not known; choose one of ramp, adaptive"):
         subjects.resolve(f"blend:{first},{second}", schedule="sine")
-    with pytest.raises(ValueError, match="a blend takes a schedule, and nothing else does"):
+    with pytest.raises(ValueError, match="a blend, and nothing else, takes schedule=ramp or adaptive"):
         subjects.resolve(f"blend:{first},{second}")
-    with pytest.raises(ValueError, match="a blend takes a schedule, and nothing else does"):
+    with pytest.raises(ValueError, match="a blend, and nothing else, takes schedule=ramp or adaptive"):
         subjects.resolve(first, schedule="ramp")
     with pytest.raises(ValueError, match="policy=runs/none is none of controller:stiff"):
         subjects.resolve(f"blend:{first},runs/none", schedule="ramp")
