@@ -164,6 +164,8 @@ def test_a_blend_walks_as_its_policies_at_the_ends_of_the_ramp(policy_files, sta
         np.testing.assert_allclose(ours, theirs, atol=1e-5)
         np.testing.assert_array_equal(after.phase, [1, 8, 0, 4])
         np.testing.assert_array_equal(after.step, step + 1)
+        compiled, _ = jax.jit(partial(blend.act, NO_ENGINE))(seen(states), memory)
+        np.testing.assert_allclose(compiled, ours, atol=1e-5)
         np.testing.assert_allclose(after.speed, interpolate.filtered(memory.speed, states[1][:, 0]), rtol=1e-5)
 
 
@@ -184,7 +186,7 @@ def test_a_policy_is_told_another_speed(policy_files):
     assert subject.name.endswith("2x.npz speed=3x")
 
 
-def test_bad_blends_get_one_sentence(policy_files, motions, tmp_path):
+def test_bad_blends_get_one_sentence(policy_files, motions):
     first, second = map(str, policy_files[:2])
     with pytest.raises(ValueError, match="two or more policies, not 1"):
         subjects.resolve(f"blend:{first}", schedule="ramp")
@@ -194,7 +196,7 @@ def test_bad_blends_get_one_sentence(policy_files, motions, tmp_path):
         subjects.resolve(f"blend:{first},{second}")
     with pytest.raises(ValueError, match="a blend, and nothing else, takes schedule=ramp or adaptive"):
         subjects.resolve(first, schedule="ramp")
-    with pytest.raises(ValueError, match="policy=runs/none is none of controller:stiff"):
+    with pytest.raises(ValueError, match="policy=runs/none is none of 1x, controller:stiff"):
         subjects.resolve(f"blend:{first},runs/none", schedule="ramp")
     with pytest.raises(ValueError, match="name its policies from the slowest to the fastest"):
         subjects.resolve(f"blend:{second},{first}", schedule="adaptive")
