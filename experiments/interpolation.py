@@ -8,6 +8,7 @@ how far the speed, averaged over a stride, is from the blended reference's. The 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,8 +19,7 @@ from rich.console import Console
 from cassie_mjx import cli, interpolate, subjects, suites
 from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Disturbance
-from cassie_mjx.subjects import BlendSubject
+from cassie_mjx.subjects import BlendSubject, walked
 from cassie_mjx.suites import Setting
 from cassie_mjx.trials import fallen
 
@@ -88,19 +88,15 @@ class Ride(NamedTuple):
 def ride(blend: BlendSubject, starts: int = STARTS) -> Ride:
     """Blend up and down once, from `starts` phases of the stride."""
     physics = NativePhysics(load(ModelConfig()))
-    state, memory = blend.start(physics, np.arange(starts) / starts)
     seconds = 2 * ((len(blend.policies) - 1) / interpolate.RAMP_PER_S + interpolate.HOLD_S)
-    act_steps = round(blend.period_s / physics.model.opt.timestep)
-    fell = np.zeros(starts, bool)
-    x, commanded_x = [state.qpos[:, 0]], [0.0]
-    for _ in range(round(seconds / blend.period_s)):
-        gain = interpolate.advance(blend.motions, blend.position(memory), memory.phase + 1)
-        target, memory = blend.act(physics, state, memory)
-        state = physics.advance(state, np.nan_to_num(np.asarray(target, float)), Disturbance.none(starts), act_steps)
+    fell, x, commanded_x = np.zeros(starts, bool), [], [0.0]
+    walk = walked(blend, physics, blend.start(physics, np.arange(starts) / starts))
+    for state, memory in islice(walk, round(seconds / blend.period_s) + 1):
         fell |= fallen(state.qpos, np.zeros(starts))
         x.append(state.qpos[:, 0])
+        gain = interpolate.advance(blend.motions, blend.position(memory), memory.phase + 1)
         commanded_x.append(commanded_x[-1] + float(np.mean(gain)))
-    return Ride.of(commanded_x, x, fell, len(blend.motions[0].qpos))
+    return Ride.of(commanded_x[:-1], x, fell, len(blend.motions[0].qpos))
 
 
 def rough_ground(names: Sequence[str]) -> list[dict[str, Any]]:
