@@ -167,3 +167,14 @@ def speed_factor(speed: str) -> float:
     if not 0 <= factor <= 4:
         raise ValueError(f"speed={speed} is not a speed; give a factor from 0x to 4x, such as 2x or 1.5x.")
     return factor
+
+
+def speed_factors(speed: str) -> tuple[float, tuple[float, float]]:
+    """What a training's speed asks for: a factor on the motion, and the range of those drawn for each episode on top.
+
+    "2x" is 2 and (1, 1); "any" is 1 and (0, 4).
+
+    Raises:
+        ValueError: it is neither "any" nor a factor from 0 to 4.
+    """
+    return (1.0, (0.0, 4.0)) if speed == "any" else (speed_factor(speed), (1.0, 1.0))

@@ -22,8 +22,12 @@ class EvaluateConfig:
     """What to measure."""
 
     policy: str = "1x"
-    """What walks: a policy that we ship, a policy's .npz file, a run's directory (its best policy), "controller:stiff"
-    or "controller:compliant"."""
+    """What walks: a policy that we ship, a policy's .npz file, a run's directory (its best policy), "controller:stiff",
+    "controller:compliant", or "blend:" and two or more policies with commas between."""
+    speed: str | None = None
+    """Speed at which a policy is told to walk, such as "2.5x"; null for its own, 1x if it was trained at any."""
+    schedule: str | None = None
+    """How a blend changes: "ramp", to its last policy and back in time, or "adaptive", with the robot's speed."""
     suite: str = "all"
     """"walk", "delay", "terrain", "push", "all" of them, or "map": all pushes in 16 directions."""
     long: bool = False
@@ -45,7 +49,7 @@ def main(config: EvaluateConfig) -> None:
     """Measure, write the result and show it."""
     out = cli.check_writable(config.out)
     console = Console(stderr=True)
-    subject = subjects.resolve(config.policy)
+    subject = subjects.resolve(config.policy, config.speed, config.schedule)
     rows: list[dict[str, Any]] = []
     cells: dict[str, Any] = {}
     seconds: dict[str, float] = {}

@@ -88,12 +88,17 @@ def stretch(motion: ReferenceMotion, factor: float) -> ReferenceMotion:
     """
     if not 0 <= factor <= MAX_STRETCH:
         raise ValueError(f"A reference cannot be stretched by {factor}; use a factor from 0 to {MAX_STRETCH:g}.")
-    xp = _namespace(motion.qpos)
+    return ReferenceMotion(*stretch_states(motion.qpos, motion.qvel, factor), motion.stride_length * factor)
+
+
+def stretch_states(qpos: Array, qvel: Array, factor: Array) -> tuple[Array, Array]:
+    """States [..., 35] and [..., 32] of a motion at `factor` [...] times its speed; a factor of 1 changes no bit."""
+    xp = _namespace(qpos, factor)
     scale_q, scale_v = (
-        xp.asarray(np.where(np.arange(states.shape[1]) == column, factor, 1.0), states.dtype)
-        for states, column in ((motion.qpos, _X), (motion.qvel, _VX))
+        xp.where(np.arange(states.shape[-1]) == column, xp.asarray(factor, states.dtype)[..., None], 1)
+        for states, column in ((qpos, _X), (qvel, _VX))
     )
-    return ReferenceMotion(motion.qpos * scale_q, motion.qvel * scale_v, motion.stride_length * factor)
+    return qpos * scale_q, qvel * scale_v
 
 
 def blend(a: ReferenceMotion, b: ReferenceMotion, lam: Array) -> ReferenceMotion:
@@ -113,10 +118,21 @@ def blend(a: ReferenceMotion, b: ReferenceMotion, lam: Array) -> ReferenceMotion
             "resample one of them."
         )
     return ReferenceMotion(
-        _mix_qpos(a.qpos, b.qpos, lam),
+        mix_qpos(a.qpos, b.qpos, lam),
         lam * a.qvel + (1 - lam) * b.qvel,
         lam * a.stride_length + (1 - lam) * b.stride_length,
     )
+
+
+def mix_qpos(a: Array, b: Array, lam: Array) -> Array:
+    """The configurations lambda a + (1 - lambda) b, [..., 35]; quaternions along the shorter way, renormalised."""
+    xp = _namespace(a, b, lam)
+    ones = xp.ones_like(a[..., :1])
+    dots = xp.sum(a[..., _QUATERNIONS] * b[..., _QUATERNIONS], axis=-1)
+    sign = xp.concatenate([xp.where(dots < 0, -ones, ones), ones], axis=-1)[..., _QUATERNION_OF]
+    mixed = lam * a + (1 - lam) * sign * b
+    norms = xp.linalg.norm(mixed[..., _QUATERNIONS], axis=-1)
+    return mixed / xp.concatenate([norms, ones], axis=-1)[..., _QUATERNION_OF]
 
 
 def resolve(name_or_path: str) -> ReferenceMotion:
@@ -204,7 +220,7 @@ def load_trajectory(path: Path) -> ReferenceMotion:
     row = np.interp(np.arange(samples) * duration / samples, time - time[0], np.arange(len(time)))
     before = row.astype(int)
     share = (row - before)[:, None]
-    resampled = _mix_qpos(qpos[before + 1], qpos[before], share)
+    resampled = mix_qpos(qpos[before + 1], qpos[before], share)
     resampled[:, _X] -= qpos[0, _X]
     # q'(t) = q(t T / T'), so qdot' = qdot T / T' with T' = N 0.032 s
     pace = duration / (samples * CONTROL_PERIOD_S)
@@ -285,16 +301,6 @@ def velocity_error(motion: ReferenceMotion, model: mujoco.MjModel) -> np.ndarray
 
 def _namespace(*arrays: Array) -> ModuleType:
     return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
-
-
-def _mix_qpos(a: Array, b: Array, lam: Array) -> Array:
-    xp = _namespace(a, b, lam)
-    ones = xp.ones_like(a[..., :1])
-    dots = xp.sum(a[..., _QUATERNIONS] * b[..., _QUATERNIONS], axis=-1)
-    sign = xp.concatenate([xp.where(dots < 0, -ones, ones), ones], axis=-1)[..., _QUATERNION_OF]
-    mixed = lam * a + (1 - lam) * sign * b
-    norms = xp.linalg.norm(mixed[..., _QUATERNIONS], axis=-1)
-    return mixed / xp.concatenate([norms, ones], axis=-1)[..., _QUATERNION_OF]
 
 
 def _difference(model: mujoco.MjModel, start: np.ndarray, end: np.ndarray) -> np.ndarray:

@@ -19,15 +19,18 @@ Act = Callable[[Any], Any]
 """A deterministic policy: observation [B, 80] to action [B, 10]."""
 
 
-def referee(motion: ReferenceMotion, physics: Physics | None = None) -> WalkEnv:
+def referee(
+    motion: ReferenceMotion, physics: Physics | None = None, speeds: tuple[float, float] = (1.0, 1.0)
+) -> WalkEnv:
     """The task that returns are measured on: ten robots, an episode ended by a fall alone.
 
     Args:
       motion: what to imitate.
       physics: the engine; MuJoCo C at 2 kHz unless given.
+      speeds: lowest and highest factor on the motion's speed; the ten robots have ten from the one to the other.
     """
     config = WalkConfig(early_end_reward=None, episode_steps=EPISODE_STEPS)
-    return WalkEnv(physics or NativePhysics(load(ModelConfig(physics_hz=2000))), motion, config, STARTS)
+    return WalkEnv(physics or NativePhysics(load(ModelConfig(physics_hz=2000))), motion, config, STARTS, speeds)
 
 
 def walk_returns(act: Act, env: WalkEnv, disturbance: Disturbance | None = None) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""What can be evaluated: heuristic walkers and trained policies, each as a `Subject` of the sweeps."""
+"""What can be evaluated: heuristic walkers, trained policies and blends of them, each as a `Subject` of the sweeps."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -9,35 +9,55 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cassie_mjx import controller, robot
+from cassie_mjx import controller, interpolate, robot
+from cassie_mjx.config import speed_factor
 from cassie_mjx.controller import CONTROLLERS, ControllerConfig, ControllerState
 from cassie_mjx.envs import observation
 from cassie_mjx.export import NumpyPolicy, find, learner_policy, shipped_policies
+from cassie_mjx.interpolate import SCHEDULES, Progress
 from cassie_mjx.model import CONTROL_PERIOD_S, standing
 from cassie_mjx.physics.types import Array, BodyState, Disturbance, Physics, PhysicsState
 from cassie_mjx.ppo import networks
-from cassie_mjx.reference import ReferenceMotion, sample
+from cassie_mjx.reference import ReferenceMotion, sample, stretch
 from cassie_mjx.returns import EPISODE_STEPS, STARTS, referee, walk_returns
 from cassie_mjx.trials import Measured, Subject, Walker, carried, decide, fallen
 
-CONTROLLER_PREFIX = "controller:"
+CONTROLLER_PREFIX, BLEND_PREFIX = "controller:", "blend:"
 WARM_UP_STRIDES = 9
 
 
-def resolve(name: str) -> Subject:
-    """The subject of that name: a policy that we ship or its .npz file, a training run's directory, "controller:NAME".
+def resolve(name: str, speed: str | None = None, schedule: str | None = None) -> Subject:
+    """The subject of that name: a policy, a blend of policies, or a controller.
+
+    Args:
+      name: a policy that we ship, its .npz file or a training run's directory; "blend:POLICY,POLICY,...", two or
+        more; "controller:NAME".
+      speed: at which a policy is told to walk, such as "2.5x"; None for the one it was trained at, 1x if at any.
+      schedule: how a blend goes from its first policy to its last, one of `SCHEDULES`.
 
     Raises:
-      ValueError: there is none.
+      ValueError: there is no such subject, or it takes no such speed or schedule.
     """
+    if name.startswith(BLEND_PREFIX) != (schedule is not None):
+        known = " or ".join(SCHEDULES)
+        raise ValueError(f"policy={name} with schedule={schedule}: a blend, and nothing else, takes schedule={known}.")
+    if speed is not None and name.startswith((BLEND_PREFIX, CONTROLLER_PREFIX)):
+        raise ValueError(f"policy={name} with speed={speed}: a single policy takes a speed, and nothing else does.")
+    if schedule is not None:
+        return BlendSubject([resolve_policy(part) for part in name.removeprefix(BLEND_PREFIX).split(",")], schedule)
     preset = name.removeprefix(CONTROLLER_PREFIX)
     if name.startswith(CONTROLLER_PREFIX) and preset in CONTROLLERS:
         return ControllerSubject(preset)
+    return resolve_policy(name, speed)
+
+
+def resolve_policy(name: str, speed: str | None = None) -> "PolicySubject":
+    """The policy of that name, told to walk at `speed`; see `resolve`."""
     path = find(name)
     if path is None:
         known = ", ".join([*shipped_policies(), *(CONTROLLER_PREFIX + preset for preset in CONTROLLERS)])
         raise ValueError(f"policy={name} is none of {known}, nor a policy's .npz file, nor a run's directory.")
-    return PolicySubject(name, NumpyPolicy.load(path))
+    return PolicySubject(name, NumpyPolicy.load(path), speed)
 
 
 def walked(
@@ -146,16 +166,24 @@ class PolicySubject:
 
     period_s = CONTROL_PERIOD_S
 
-    def __init__(self, name: str, saved: NumpyPolicy) -> None:
-        """Take a saved policy; raises ValueError if it was made for another layout of the observation."""
-        self.name, self.provenance = name, saved.provenance
+    def __init__(self, name: str, saved: NumpyPolicy, speed: str | None = None) -> None:
+        """Take a saved policy, and a speed at which it is told to walk, if not its own.
+
+        Raises:
+          ValueError: it was made for another layout of the observation, or its reference cannot have that speed.
+        """
+        self.name, self.provenance = name if speed is None else f"{name} speed={speed}", saved.provenance
         policy = learner_policy(saved)
         self.motion = ReferenceMotion(
             jnp.asarray(saved.reference_qpos, jnp.float32),
             jnp.asarray(saved.reference_qvel, jnp.float32),
             jnp.asarray(saved.reference_stride_length, jnp.float32),
         )
-        self._mode = jax.jit(lambda seen: networks.mode(policy, seen))
+        if speed is not None and speed_factor(speed) != saved.speed:
+            if saved.speed == 0:
+                raise ValueError(f"policy={name} with speed={speed}: a reference at 0x has no speed to be stretched.")
+            self.motion = stretch(self.motion, speed_factor(speed) / saved.speed)
+        self.mode = jax.jit(lambda seen: networks.mode(policy, seen))
         self._target = jax.jit(self._pd_target)
 
     def start(self, physics: Physics, phases: np.ndarray) -> Walker:
@@ -169,7 +197,7 @@ class PolicySubject:
     def returns(self, physics: Physics, delay: int = 0) -> list[Measured]:
         """See `Subject.returns`."""
         disturbance = replace(Disturbance.none(STARTS), delay=np.full(STARTS, delay, np.int32))
-        figures = walk_returns(self._mode, referee(self.motion, physics), disturbance)
+        figures = walk_returns(self.mode, referee(self.motion, physics), disturbance)
         unit = f"of {EPISODE_STEPS}"
         return [Measured(name, figures[name], unit, STARTS) for name in ("return_plain", "return_weighted")]
 
@@ -183,5 +211,57 @@ class PolicySubject:
 
     def _pd_target(self, qpos: Array, qvel: Array, phase: Array) -> jax.Array:
         ahead, ahead_velocity = sample(self.motion, phase + 1, jnp.zeros_like(phase))
-        action = self._mode(observation.build(qpos, qvel, ahead, ahead_velocity))
+        action = self.mode(observation.build(qpos, qvel, ahead, ahead_velocity))
         return ahead[:, robot.ACTIVE_QPOS] + action
+
+
+class BlendSubject:
+    """A chain of policies, blended as a schedule says, as a `Subject`; it starts in the first policy's walk."""
+
+    period_s = CONTROL_PERIOD_S
+
+    def __init__(self, policies: Sequence[PolicySubject], schedule: str) -> None:
+        """Take policies and the name of one of `SCHEDULES`.
+
+        Raises:
+          ValueError: the policies cannot be blended, or not by this schedule, or it is not known.
+        """
+        self.policies, self.motions = policies, [policy.motion for policy in policies]
+        self.speeds = [interpolate.mean_speed(motion) for motion in self.motions]
+        self.name = f"{BLEND_PREFIX}{','.join(policy.name for policy in policies)} schedule={schedule}"
+        self.provenance = {policy.name: policy.provenance for policy in policies}
+        interpolate.check_chain(self.motions)
+        if schedule not in SCHEDULES:
+            raise ValueError(f"schedule={schedule} is not known; choose one of {', '.join(SCHEDULES)}.")
+        if schedule == "adaptive" and (np.diff(self.speeds) <= 0).any():
+            raise ValueError(f"{self.name} follows the speed; name its policies from the slowest to the fastest.")
+        self._schedule = SCHEDULES[schedule]
+        self._act = jax.jit(self._blended)
+
+    def start(self, physics: Physics, phases: np.ndarray) -> Walker:
+        """See `Subject.start`."""
+        state, phase = self.policies[0].start(physics, phases)
+        return Walker(state, Progress(phase, 0 * phase, np.full(len(phase), self.speeds[0], np.float32)))
+
+    def returns(self, physics: Physics, delay: int = 0) -> list[Measured]:
+        """See `Subject.returns`: a blend imitates no one motion, so it has none."""
+        return []
+
+    def act(self, physics: Physics, seen: PhysicsState, memory: Progress) -> tuple[Array, Progress]:
+        """See `Subject.act`."""
+        return self._act(seen.qpos, seen.qvel, memory)
+
+    def carried(self, memory: Progress, offset: np.ndarray) -> Progress:
+        """See `Subject.carried`: a blend remembers no place."""
+        return memory
+
+    def position(self, memory: Progress) -> Array:
+        """Where along the chain robots are, [B], 0 for the first policy."""
+        return self._schedule(memory, self.speeds)
+
+    def _blended(self, qpos: Array, qvel: Array, memory: Progress) -> tuple[Array, Progress]:
+        memory = replace(memory, speed=interpolate.filtered(memory.speed, qvel[:, 0]))
+        ahead = memory.phase + 1
+        modes = [policy.mode for policy in self.policies]
+        target = interpolate.pd_target(modes, self.motions, self.position(memory), ahead, qpos, qvel)
+        return target, replace(memory, phase=ahead % len(self.motions[0].qpos), step=memory.step + 1)

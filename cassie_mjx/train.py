@@ -16,7 +16,7 @@ import jax
 from rich.console import Console
 
 from cassie_mjx import checkpoint, cli, diagnosis, hydra_cli, reference, run_directory
-from cassie_mjx.config import PPO_PRESETS, speed_factor
+from cassie_mjx.config import PPO_PRESETS, speed_factors
 from cassie_mjx.export import save_policy
 from cassie_mjx.metrics import JsonLines, TensorBoard, Terminal
 from cassie_mjx.ppo import networks
@@ -58,7 +58,8 @@ class Session:
         """
         self.config = config = resolve(config)
         self.folder = Path(str(config.run_dir))
-        motion = reference.stretch(reference.resolve(config.reference), speed_factor(config.speed))
+        self.factor, speeds = speed_factors(config.speed)
+        motion = reference.stretch(reference.resolve(config.reference), self.factor)
         self.provenance = cli.provenance()
         restored = run_directory.claim(self.folder, config, self.provenance)
         self.motion = restored.motion if restored else motion
@@ -74,7 +75,7 @@ class Session:
             TensorBoard(self.folder / "tensorboard", self.samples),
             self.terminal,
         )
-        self.referee, self.act = referee(self.motion), jax.jit(networks.mode)
+        self.referee, self.act = referee(self.motion, speeds=speeds), jax.jit(networks.mode)
         self.lap = Lap()
 
     @property
@@ -152,7 +153,7 @@ class Session:
             self.counters.best_return, self.counters.return_plain = returns["return_weighted"], returns["return_plain"]
             names.append("best")
         for name in names:
-            save_policy(self.folder / f"{name}.npz", policy, self.motion, speed_factor(self.config.speed), origin)
+            save_policy(self.folder / f"{name}.npz", policy, self.motion, self.factor, origin)
 
     def _values(self, metrics: IterationMetrics, returns: dict[str, float], eval_s: float) -> dict[str, float]:
         """One line of metrics; counts, rates and shares of the time are those since the last one."""

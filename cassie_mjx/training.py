@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from cassie_mjx import diagnosis, robot
-from cassie_mjx.config import PPOConfig, speed_factor
+from cassie_mjx.config import PPOConfig, speed_factors
 from cassie_mjx.envs import observation
 from cassie_mjx.envs.walk import WalkConfig, WalkEnv
 from cassie_mjx.metrics import Stopwatch
@@ -29,7 +29,7 @@ class TrainConfig:
     """A training run."""
 
     speed: str = "1x"
-    """Factor on the pelvis x of the reference motion, from "0x" to "4x"."""
+    """Factor on the pelvis x of the reference motion, from "0x" to "4x"; "any" draws one for each episode."""
     physics: str = "auto"
     """"native": MuJoCo C on CPU threads; "mjx"; "auto": MJX if there is an accelerator."""
     physics_hz: int | None = None
@@ -51,7 +51,7 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         """Raise ValueError for a value out of range."""
-        speed_factor(self.speed)
+        speed_factors(self.speed)
         if self.physics not in ("auto", *TRAINING_HZ):
             raise ValueError(f"physics={self.physics} is not known; choose one of auto, {', '.join(TRAINING_HZ)}.")
         if self.physics_hz is not None:
@@ -99,15 +99,16 @@ class Trainer:
         self.config, self.watch = config, Stopwatch()
         update = partial(learner.update, config.ppo)
         model_hz = config.physics_hz or TRAINING_HZ[config.physics]
+        _, speeds = speed_factors(config.speed)
         if config.physics == "mjx":
             physics = MjxPhysics(load_for_mjx(replace(MJX_TRAINING, physics_hz=model_hz)))
-            self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots)
+            self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots, speeds)
             self.collect = partial(rollout.collect, self.env.step, config.ppo)
             # One compiled call an iteration.
             self.iterate = jax.jit(partial(iterate, self.collect, update))
         else:
             physics = _TimedPhysics(NativePhysics(load(ModelConfig(physics_hz=model_hz))), self.watch)
-            self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots)
+            self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots, speeds)
             self.collect = partial(rollout.collect_on_host, self.env.step, config.ppo)
             self.iterate = partial(iterate, self.collect, self.watch.timed("learner", update))
 

@@ -15,7 +15,7 @@ from cassie_mjx.model import MJX_TRAINING, load, load_for_mjx
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance
-from cassie_mjx.reference import resolve, sample
+from cassie_mjx.reference import resolve, sample, stretch
 
 ROBOTS = 8
 MODEL = replace(MJX_TRAINING, iterations=100)
@@ -96,6 +96,44 @@ def test_a_step_follows_the_pd_law_to_the_next_sample(env, native, motion):
     np.testing.assert_allclose(after.physics.qpos[going], moved.qpos[going], atol=1e-5)
     expected = reward.total(reward.terms(reward.SCALES["weighted"], moved.qpos, np.asarray(ahead)))
     np.testing.assert_allclose(after.reward, expected, atol=1e-4)
+
+
+def test_every_episode_has_a_speed_of_its_own(native, motion):
+    env = WalkEnv(native, motion, WalkConfig(episode_steps=2), 64, speeds=(0.0, 4.0))
+    key = jax.random.key(4)
+    state = env.reset(key)
+    speed = np.asarray(state.clock.speed)
+    assert speed.min() < 0.4
+    assert 3.6 < speed.max() <= 4.0
+    phase = np.asarray(state.clock.phase)
+    ahead, ahead_velocity = sample(motion, phase + 1, 0 * phase)
+    np.testing.assert_allclose(state.physics.qvel[:, 0], speed * motion.qvel[phase, 0], atol=1e-5)
+    np.testing.assert_allclose(state.observation[:, 46], speed * ahead_velocity[:, 0], atol=1e-5)
+    after = env.step(state, np.zeros((64, 10)), jax.random.key(5))
+    going = ~np.asarray(after.terminated)
+    np.testing.assert_array_equal(np.asarray(after.clock.speed)[going], speed[going])
+    # The reward compares x with the stretched reference's.
+    position = np.exp(-np.square(after.physics.qpos[:, :3] - np.c_[speed * ahead[:, 0], ahead[:, 1:3]]).sum(axis=1))
+    np.testing.assert_allclose(np.asarray(after.metrics["position"])[going], position[going], atol=1e-4)
+    anew = env.step(after, np.zeros((64, 10)), jax.random.key(6))
+    assert anew.truncated[going].any()
+    assert (np.asarray(anew.clock.speed) != speed)[np.asarray(anew.truncated)].all()
+
+
+def test_one_speed_for_all_is_the_stretched_motion_from_the_same_phases(native, motion):
+    key = jax.random.key(7)
+    fast = WalkEnv(native, motion, WalkConfig(), ROBOTS, speeds=(2.0, 2.0)).reset(key)
+    stretched = WalkEnv(native, stretch(motion, 2.0), WalkConfig(), ROBOTS).reset(key)
+    np.testing.assert_array_equal(fast.clock.phase, jax.random.randint(key, (ROBOTS,), 0, 22))
+    np.testing.assert_array_equal(stretched.clock.speed, 1.0)
+    np.testing.assert_array_equal(fast.physics.qpos, stretched.physics.qpos)
+    np.testing.assert_array_equal(fast.observation, stretched.observation)
+
+
+def test_given_no_speeds_robots_go_evenly_from_the_lowest_to_the_highest(native, motion):
+    env = WalkEnv(native, motion, WalkConfig(), 5, speeds=(0.0, 4.0))
+    state = env.reset_at(np.zeros(5, np.int32), Disturbance.none(5))
+    np.testing.assert_array_equal(state.clock.speed, [0, 1, 2, 3, 4])
 
 
 def test_episodes_end_by_falls_low_rewards_and_length(native, motion):

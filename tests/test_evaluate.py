@@ -46,7 +46,7 @@ def test_cells_and_the_policys_own_provenance_go_to_the_file(tmp_path, monkeypat
     [
         ("suite=jump", "suite='jump' is not known; choose one of walk, delay, terrain, push, map, all"),
         ("physics=warp", "physics='warp' is not known; choose one of native, mjx"),
-        ("speed=2", "'speed' is not a key; the keys are policy, suite, long, physics, out"),
+        ("velocity=2", "'velocity' is not a key; the keys are policy, speed, schedule, suite, long, physics, out"),
     ],
 )
 def test_bad_input_gets_one_sentence(argument, sentence):

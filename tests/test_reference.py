@@ -19,6 +19,7 @@ from cassie_mjx.reference import (
     resolve,
     sample,
     stretch,
+    stretch_states,
 )
 from experiments.record_reference import foot_points
 
@@ -90,6 +91,17 @@ def test_stretch_scales_x_alone(motion, factor):
 def test_stretch_outside_the_papers_range(motion, factor):
     with pytest.raises(ValueError, match=f"cannot be stretched by {factor}; use a factor from 0 to 4"):
         stretch(motion, factor)
+
+
+def test_states_stretch_robot_by_robot(motion):
+    phase, stride, factor = np.array([0, 5, 30]), np.array([0, 2, 1]), np.array([0.0, 1.0, 2.7])
+    ours = stretch_states(*sample(motion, phase, stride), factor)
+    for i in range(3):
+        theirs = sample(stretch(motion, factor[i]), phase[i : i + 1], stride[i : i + 1])
+        for our, their in zip(ours, theirs, strict=True):
+            np.testing.assert_allclose(our[i], their[0], atol=1e-12)
+    for unit, state in zip(stretch_states(motion.qpos, motion.qvel, 1.0), (motion.qpos, motion.qvel), strict=True):
+        np.testing.assert_array_equal(unit, state)
 
 
 def test_blend_of_two_speeds_is_the_speed_between(motion):

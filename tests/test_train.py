@@ -18,10 +18,11 @@ from tensorboardX.event_file_writer import EventsWriter
 from tensorboardX.proto.event_pb2 import Event, SessionLog
 
 from cassie_mjx import checkpoint, hydra_cli
-from cassie_mjx.config import PPO_PRESETS, PPOConfig, speed_factor
+from cassie_mjx.config import PPO_PRESETS, PPOConfig, speed_factor, speed_factors
 from cassie_mjx.export import NumpyPolicy
 from cassie_mjx.metrics import JsonLines, Stopwatch, TensorBoard, Terminal
 from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.reference import resolve as resolve_motion
 from cassie_mjx.train import Session, TrainConfig
 from cassie_mjx.training import resolve
 
@@ -310,9 +311,23 @@ def test_the_command_itself_ends_with_a_sentence_and_a_status(tmp_path):
 
 def test_speeds():
     assert [speed_factor(text) for text in ("0x", "1.5x", "2", "4x")] == [0, 1.5, 2, 4]
+    assert [speed_factors(text) for text in ("1.5x", "any")] == [(1.5, (1, 1)), (1, (0, 4))]
     for text in ("-1x", "4.1x", "nan", "x", ""):
         with pytest.raises(ValueError, match="is not a speed"):
             speed_factor(text)
+
+
+def test_a_policy_for_any_speed_is_saved_with_the_motion_as_recorded(tmp_path):
+    session(tmp_path / "any", speed="any").train()
+    session(tmp_path / "twice", speed="2x").train()
+    recorded = resolve_motion("walk")
+    for name, factor in (("any", 1), ("twice", 2)):
+        saved = NumpyPolicy.load(tmp_path / name / "best.npz")
+        assert saved.speed == factor
+        assert saved.reference_stride_length == pytest.approx(factor * recorded.stride_length)
+    speeds = last_state(tmp_path / "any")[".env.clock.speed"]
+    assert len(set(speeds.tolist())) == TINY.num_robots
+    assert (last_state(tmp_path / "twice")[".env.clock.speed"] == 1).all()
 
 
 # Sinks

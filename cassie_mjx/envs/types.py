@@ -16,11 +16,13 @@ class Clock:
       phase: sample of the stride, [B], int32, 0 to N - 1.
       stride: strides since the start of the episode, [B], int32.
       step: control steps since the start of the episode, [B], int32.
+      speed: factor on the motion's speed along x in this episode, [B].
     """
 
     phase: Array
     stride: Array
     step: Array
+    speed: Array
 
 
 @jax.tree_util.register_dataclass

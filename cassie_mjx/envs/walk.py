@@ -16,7 +16,7 @@ from cassie_mjx.envs import observation, reward
 from cassie_mjx.envs.types import Clock, WalkState
 from cassie_mjx.model import steps_per_control
 from cassie_mjx.physics.types import Array, Disturbance, Physics, delayed, merge
-from cassie_mjx.reference import ReferenceMotion, sample
+from cassie_mjx.reference import ReferenceMotion, sample, stretch_states
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,10 @@ class WalkConfig:
             raise ValueError(f"episode_steps={self.episode_steps} must be at least 1.")
 
 
+# What the key of a step or reset is folded with for the speeds; as it is, it draws phases.
+_SPEED_KEY = 2
+
+
 class _Judgement(NamedTuple):
     """All of the next `WalkState` but the physics, and where the robots that ended start anew."""
 
@@ -51,7 +55,14 @@ class _Judgement(NamedTuple):
 class WalkEnv:
     """The task on one engine. On MJX `reset` and `step` can be traced; on MuJoCo C they run on the host."""
 
-    def __init__(self, physics: Physics, motion: ReferenceMotion, config: WalkConfig, robots: int) -> None:
+    def __init__(
+        self,
+        physics: Physics,
+        motion: ReferenceMotion,
+        config: WalkConfig,
+        robots: int,
+        speeds: tuple[float, float] = (1.0, 1.0),
+    ) -> None:
         """Bind task and engine.
 
         Args:
@@ -59,8 +70,9 @@ class WalkEnv:
           motion: what to imitate.
           config: the task's parameters.
           robots: B, robots side by side.
+          speeds: lowest and highest factor on the motion's speed; each episode has one between them.
         """
-        self.physics, self.config, self.robots = physics, config, robots
+        self.physics, self.config, self.robots, self.speeds = physics, config, robots, speeds
         self.motion = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), motion)
         self.samples = motion.qpos.shape[0]
         self._substeps = steps_per_control(round(1 / physics.model.opt.timestep))
@@ -69,13 +81,17 @@ class WalkEnv:
         self._start = jax.jit(self._start_states)
 
     def reset(self, key: jax.Array) -> WalkState:
-        """Robots on the reference motion, each at a phase drawn at random, undisturbed."""
-        phase = jax.random.randint(key, (self.robots,), 0, self.samples)
-        return self.reset_at(phase, Disturbance.none(self.robots))
+        """Robots on the reference motion, each at a phase and a speed drawn at random, undisturbed."""
+        phase, speed = self._draw(key)
+        return self.reset_at(phase, Disturbance.none(self.robots), speed)
 
-    def reset_at(self, phase: Array, disturbance: Disturbance) -> WalkState:
-        """Robots on the reference motion at the samples `phase` [B] of the stride, under `disturbance`."""
-        clock, qpos, qvel, seen = self._start(jnp.asarray(phase, jnp.int32))
+    def reset_at(self, phase: Array, disturbance: Disturbance, speed: Array | None = None) -> WalkState:
+        """Robots on the reference motion at the samples `phase` [B] of the stride, under `disturbance`.
+
+        `speed` [B] are factors on the motion's speed; if none are given, they go evenly from the lowest to the highest.
+        """
+        speed = np.linspace(*self.speeds, self.robots) if speed is None else speed
+        clock, qpos, qvel, seen = self._start(jnp.asarray(phase, jnp.int32), jnp.asarray(speed, jnp.float32))
         physics = self.physics.init(qpos, qvel)
         zeros = jnp.zeros(self.robots)
         ended = jnp.zeros(self.robots, bool)
@@ -83,12 +99,12 @@ class WalkEnv:
         return WalkState(physics, disturbance, clock, seen, seen, zeros, ended, ended, metrics)
 
     def step(self, state: WalkState, action: Array, key: jax.Array) -> WalkState:
-        """One control step of 32 ms; robots whose episode ends start anew at a phase drawn with `key`.
+        """One control step of 32 ms; robots whose episode ends start anew at a phase and speed drawn with `key`.
 
         Args:
           state: before the step.
           action: residual on the reference angles of the active joints, [B, 10], rad.
-          key: for the phases of new episodes.
+          key: for the phases and speeds of new episodes.
         """
         target = self._target(state.clock, action)
         on_host = isinstance(state.physics.qpos, np.ndarray)
@@ -106,16 +122,27 @@ class WalkEnv:
         return WalkState(physics=physics, disturbance=state.disturbance, **judgement.rest)
 
     def _pd_target(self, clock: Clock, action: jax.Array) -> jax.Array:
-        reference, _ = sample(self.motion, clock.phase + 1, clock.stride)
+        reference, _ = self._reference(clock, ahead=1)
         return reference[:, robot.ACTIVE_QPOS] + action
 
-    def _observe(self, clock: Clock, qpos: jax.Array, qvel: jax.Array) -> jax.Array:
-        return observation.build(qpos, qvel, *sample(self.motion, clock.phase + 1, clock.stride))
+    def _draw(self, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Phase and speed of new episodes, each [B]."""
+        phase = jax.random.randint(key, (self.robots,), 0, self.samples)
+        low, high = self.speeds
+        speed_key = jax.random.fold_in(key, _SPEED_KEY)
+        return phase, jax.random.uniform(speed_key, (self.robots,), minval=low, maxval=high)
 
-    def _start_states(self, phase: jax.Array) -> tuple[Clock, jax.Array, jax.Array, jax.Array]:
+    def _reference(self, clock: Clock, ahead: int = 0) -> tuple[jax.Array, jax.Array]:
+        """The motion at each robot's speed, `ahead` control steps from now: (qpos [B, 35], qvel [B, 32])."""
+        return stretch_states(*sample(self.motion, clock.phase + ahead, clock.stride), clock.speed)
+
+    def _observe(self, clock: Clock, qpos: jax.Array, qvel: jax.Array) -> jax.Array:
+        return observation.build(qpos, qvel, *self._reference(clock, ahead=1))
+
+    def _start_states(self, phase: jax.Array, speed: jax.Array) -> tuple[Clock, jax.Array, jax.Array, jax.Array]:
         zeros = jnp.zeros_like(phase)
-        clock = Clock(phase, zeros, zeros)
-        qpos, qvel = sample(self.motion, phase, zeros)
+        clock = Clock(phase, zeros, zeros, speed)
+        qpos, qvel = self._reference(clock)
         return clock, qpos, qvel, self._observe(clock, qpos, qvel)
 
     def _judge_step(
@@ -129,7 +156,7 @@ class WalkEnv:
         key: jax.Array,
     ) -> _Judgement:
         clock = self._tick(before)
-        reference, reference_velocity = sample(self.motion, clock.phase, clock.stride)
+        reference, reference_velocity = self._reference(clock)
         nan = ~(jnp.isfinite(qpos).all(axis=1) & jnp.isfinite(qvel).all(axis=1))
         qpos, sensed_qpos, sensed_qvel = merge(
             nan, (reference, reference, reference_velocity), (qpos, sensed_qpos, sensed_qvel)
@@ -144,8 +171,7 @@ class WalkEnv:
         terminated = fallen | low
         truncated = ~terminated & (clock.step >= self.config.episode_steps)
 
-        phase = jax.random.randint(key, nan.shape, 0, self.samples)
-        fresh_clock, fresh_qpos, fresh_qvel, fresh_seen = self._start_states(phase)
+        fresh_clock, fresh_qpos, fresh_qvel, fresh_seen = self._start_states(*self._draw(key))
         ended = terminated | truncated
         seen = self._observe(clock, sensed_qpos, sensed_qvel)
         return _Judgement(
@@ -165,7 +191,7 @@ class WalkEnv:
 
     def _tick(self, clock: Clock) -> Clock:
         phase = clock.phase + 1
-        return Clock(phase % self.samples, clock.stride + phase // self.samples, clock.step + 1)
+        return Clock(phase % self.samples, clock.stride + phase // self.samples, clock.step + 1, clock.speed)
 
 
 _METRICS = (*reward.SCALES, "nan", "fallen")

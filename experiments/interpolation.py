@@ -1,0 +1,143 @@
+"""Changing speed by blending policies: `python -m experiments.interpolation out=interpolation.json plot=speeds.png`.
+
+Robots in steady walking at 20 phases of the stride are blended up to a faster policy and back, on MuJoCo C at 2 kHz:
+0.5 to 1.0 and 1.0 to 1.5 m a stride, and from stepping in place through all policies in one run. Counted are falls, and
+how far the speed, averaged over a stride, is from the blended reference's. The second part measures the terrain that
+1x and 2x survive, and their blend that follows the robot's own speed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from cassie_mjx import cli, interpolate, subjects, suites
+from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.subjects import BlendSubject, walked
+from cassie_mjx.suites import Setting
+from cassie_mjx.trials import fallen
+
+STARTS = 20
+
+
+@dataclass(frozen=True)
+class InterpolationConfig:
+    """What to blend."""
+
+    policies: tuple[str, str, str, str] = ("0x", "1x", "2x", "3x")
+    """Policies for 0, 1, 2 and 3 times the speed."""
+    terrain: bool = True
+    """Whether to measure the second part, too, which takes a few minutes."""
+    out: str = "interpolation.json"
+    """Result file."""
+    plot: str = ""
+    """File for a picture of the speeds; none if empty."""
+
+
+class Ride(NamedTuple):
+    """Speeds of B robots that are told to change theirs, each the mean over the stride that ends at the time."""
+
+    time_s: np.ndarray
+    """[T]."""
+    commanded_mps: np.ndarray
+    """[T]."""
+    measured_mps: np.ndarray
+    """[B, T]."""
+    fell: np.ndarray
+    """[B], bool."""
+
+    @classmethod
+    def of(cls, commanded_x: Sequence[float], x: Sequence[np.ndarray], fell: np.ndarray, stride: int) -> "Ride":
+        """From pelvis x after every control step, as commanded and of the robots [B], m; `stride` in control steps."""
+        stride_s = CONTROL_PERIOD_S * stride
+        commanded, measured = (
+            (np.array(way)[stride:] - np.array(way)[:-stride]) / stride_s for way in (commanded_x, x)
+        )
+        return cls(CONTROL_PERIOD_S * np.arange(stride, len(x)), commanded, measured.T, fell)
+
+    @property
+    def up_mps(self) -> np.ndarray:
+        """`measured_mps` of the robots that did not fall."""
+        return self.measured_mps[~self.fell]
+
+    def rows(self, subject: str) -> list[dict[str, Any]]:
+        """Starts without a fall, and of those the speed's range and error over the whole time."""
+        up, n = self.up_mps, len(self.fell)
+        figures = [("starts_up", float(len(up)), f"of {n}")]
+        if len(up):
+            error = np.sqrt(np.square(up - self.commanded_mps).mean())
+            low, high = up.mean(axis=0).min(), up.mean(axis=0).max()
+            names = ("speed_error_rms_mps", "lowest_speed_mps", "highest_speed_mps")
+            figures += [(name, float(value), "m/s") for name, value in zip(names, (error, low, high), strict=True)]
+        return [{"subject": subject, "quantity": name, "value": v, "unit": unit, "n": n} for name, v, unit in figures]
+
+    def curve(self) -> dict[str, list[float]]:
+        """What the picture shows, every 0.128 s: commanded speed, and mean, least and greatest of the robots up."""
+        curves = {"time_s": self.time_s, "commanded_mps": self.commanded_mps}
+        if len(up := self.up_mps):
+            curves |= {"mean_mps": up.mean(axis=0), "least_mps": up.min(axis=0), "greatest_mps": up.max(axis=0)}
+        return {name: np.round(values[::4], 3).tolist() for name, values in curves.items()}
+
+
+def ride(blend: BlendSubject, starts: int = STARTS) -> Ride:
+    """Blend up and down once, from `starts` phases of the stride."""
+    physics = NativePhysics(load(ModelConfig()))
+    seconds = 2 * ((len(blend.policies) - 1) / interpolate.RAMP_PER_S + interpolate.HOLD_S)
+    fell, x, commanded_x = np.zeros(starts, bool), [], [0.0]
+    walk = walked(blend, physics, blend.start(physics, np.arange(starts) / starts))
+    for state, memory in islice(walk, round(seconds / blend.period_s) + 1):
+        fell |= fallen(state.qpos, np.zeros(starts))
+        x.append(state.qpos[:, 0])
+        gain = interpolate.advance(blend.motions, blend.position(memory), memory.phase + 1)
+        commanded_x.append(commanded_x[-1] + float(np.mean(gain)))
+    return Ride.of(commanded_x[:-1], x, fell, len(blend.motions[0].qpos))
+
+
+def rough_ground(names: Sequence[str]) -> list[dict[str, Any]]:
+    """Rows of the terrain that policies and their adaptive blend survive."""
+    policies = [subjects.resolve_policy(name) for name in names]
+    return [
+        {"subject": walker.name, **figure._asdict()}
+        for walker in (*policies, BlendSubject(policies, "adaptive"))
+        for figure in suites.terrain(walker, Setting()).figures
+    ]
+
+
+def draw(path: Path, rides: dict[str, Ride]) -> None:
+    """Draw commanded and measured speeds over time, a panel for each ride."""
+    figure = Figure(figsize=(5 * len(rides), 3.5), layout="constrained")
+    axes = figure.subplots(1, len(rides), sharey=True, squeeze=False)[0]
+    for axis, (name, walk) in zip(axes, rides.items(), strict=True):
+        axis.plot(walk.time_s, walk.up_mps.T, color="tab:blue", lw=0.6, alpha=0.6)
+        axis.plot(walk.time_s, walk.commanded_mps, color="black", lw=1.5, ls="--")
+        axis.set(xlabel="s", title=f"{name}\n{len(walk.up_mps)} of {len(walk.fell)} up")
+    axes[0].set_ylabel("speed over a stride, m/s\n(dashed: commanded)")
+    figure.savefig(path, dpi=90)
+
+
+def main(config: InterpolationConfig) -> None:
+    """Ride, measure, write the result and draw it."""
+    paths = [cli.check_writable(path) for path in (config.out, config.plot) if path]
+    console, rides, rows = Console(stderr=True), {}, []
+    for names in (config.policies[1:3], config.policies[2:4], config.policies):
+        blend = BlendSubject([subjects.resolve_policy(name) for name in names], "ramp")
+        rides[blend.name] = ride(blend)
+        rows += rides[blend.name].rows(blend.name)
+        console.print(*rows[-4:], sep="\n")
+    if config.terrain:
+        rows += rough_ground(config.policies[1:3])
+        console.print(*rows[-3:], sep="\n")
+    curves = {name: walk.curve() for name, walk in rides.items()}
+    cli.write_json(paths[0], {"rows": rows, "rides": curves, "provenance": cli.provenance()})
+    if config.plot:
+        draw(paths[1], rides)
+
+
+if __name__ == "__main__":
+    cli.run(main, InterpolationConfig)

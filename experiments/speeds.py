@@ -1,0 +1,114 @@
+"""How well policies keep the speed they are told: `python -m experiments.speeds out=speeds.json plot=speeds.png`.
+
+Each policy walks at its own speed, and one that was trained at any speed at twenty, from 0x to 4x, and after a profile
+that jumps to another speed every 2 s for a minute. MuJoCo C at 2 kHz. How they learn, `experiments.learning
+study=speeds` shows.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from cassie_mjx import cli, interpolate, subjects, suites
+from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.reference import MAX_STRETCH
+from cassie_mjx.subjects import PolicySubject
+from cassie_mjx.suites import Setting
+from experiments.interpolation import STARTS, Ride
+
+COMMANDS = np.linspace(0, MAX_STRETCH, 20)
+CHANGE_S, PROFILE_S = 2.0, 60.0
+
+
+@dataclass(frozen=True)
+class SpeedsConfig:
+    """What to measure."""
+
+    policies: tuple[str, ...] = ("0x", "1x", "2x", "3x", "4x")
+    """Policies of one speed each."""
+    any_speed: str = "any"
+    """Policy of all speeds; none if empty."""
+    seed: int = 0
+    """What the speeds of the profile are drawn from."""
+    out: str = "speeds.json"
+    """Result file."""
+    plot: str = ""
+    """File for a picture; none if empty."""
+
+
+def keep(policy: PolicySubject) -> list[dict[str, Any]]:
+    """Rows of ten walks of 10 s at the policy's speed, the reference's own speed among them."""
+    figures = {figure.quantity: figure for figure in suites.walk(policy, Setting()).figures}
+    commanded = figures["speed_mps"]._replace(quantity="commanded_mps", value=interpolate.mean_speed(policy.motion))
+    return [{"subject": policy.name, **figure._asdict()} for figure in (commanded, *figures.values())]
+
+
+def profile(seed: int) -> np.ndarray:
+    """Factors on the motion's speed, one a control step: another from 0x to 4x every 2 s for 60 s."""
+    factors = np.random.default_rng(seed).uniform(0, MAX_STRETCH, round(PROFILE_S / CHANGE_S))
+    time = CONTROL_PERIOD_S * np.arange(round(PROFILE_S / CONTROL_PERIOD_S))
+    return factors[(time / CHANGE_S).astype(int)]
+
+
+def follow(policy: PolicySubject, factors: np.ndarray, starts: int = STARTS) -> Ride:
+    """Walk from `starts` phases of the stride, told a factor [T] on the motion's speed at every control step."""
+    task = WalkConfig(early_end_reward=None, episode_steps=len(factors) + 1)
+    env = WalkEnv(NativePhysics(load(ModelConfig())), policy.motion, task, starts)
+    phase = np.arange(starts) * env.samples // starts
+    state = env.reset_at(phase, Disturbance.none(starts), np.full(starts, factors[0]))
+    fell, x, commanded_x = np.zeros(starts, bool), [state.physics.qpos[:, 0]], [0.0]
+    speed_mps = interpolate.mean_speed(policy.motion)
+    for factor in factors:
+        # The command is seen in the observation that this step leads to.
+        state = replace(state, clock=replace(state.clock, speed=np.full(starts, factor, np.float32)))
+        state = env.step(state, policy.mode(state.observation), jax.random.key(0))
+        fell |= np.asarray(state.terminated)
+        x.append(state.physics.qpos[:, 0])
+        commanded_x.append(commanded_x[-1] + factor * speed_mps * CONTROL_PERIOD_S)
+    return Ride.of(commanded_x, x, fell, env.samples)
+
+
+def draw(path: Path, rows: list[dict[str, Any]], walk: Ride | None) -> None:
+    """Draw tracked against commanded speed, and the profile with what became of it."""
+    figure = Figure(figsize=(11, 3.8), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1, 2))
+    told, kept = ([row["value"] for row in rows if row["quantity"] == name] for name in ("commanded_mps", "speed_mps"))
+    left.plot(told, kept, "o", ms=4)
+    left.axline((0, 0), slope=1, color="black", lw=0.8, ls="--")
+    left.set(xlabel="commanded, m/s", ylabel="mean over the last 5 s of 10, m/s", title="steady walking")
+    if walk is not None:
+        right.plot(walk.time_s, walk.up_mps.T, color="tab:blue", lw=0.6, alpha=0.6)
+        right.plot(walk.time_s, walk.commanded_mps, color="black", lw=1.2, ls="--")
+        right.set(xlabel="s", ylabel="speed over a stride, m/s", title=f"{len(walk.up_mps)} of {len(walk.fell)} up")
+    figure.savefig(path, dpi=90)
+
+
+def main(config: SpeedsConfig) -> None:
+    """Walk, write the result and draw it."""
+    paths = [cli.check_writable(path) for path in (config.out, config.plot) if path]
+    console, rows, walk = Console(stderr=True), [], None
+    walkers = [subjects.resolve_policy(name) for name in config.policies]
+    if config.any_speed:
+        walkers += [subjects.resolve_policy(config.any_speed, f"{factor:.3g}x") for factor in COMMANDS]
+        walk = follow(subjects.resolve_policy(config.any_speed), profile(config.seed))
+        rows += walk.rows(f"{config.any_speed} profile")
+    for walker in walkers:
+        measured = keep(walker)
+        rows += measured
+        console.print(walker.name, {row["quantity"]: round(row["value"], 3) for row in measured})
+    result = {"rows": rows, "provenance": cli.provenance(seed=config.seed)}
+    cli.write_json(paths[0], result | ({"profile": walk.curve()} if walk else {}))
+    if config.plot:
+        draw(paths[1], rows, walk)
+
+
+if __name__ == "__main__":
+    cli.run(main, SpeedsConfig)

@@ -1,0 +1,77 @@
+"""The experiments on speed: what a ride's figures mean, the profile, and robots that follow it."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cassie_mjx import reference
+from experiments.interpolation import Ride, draw
+from experiments.speeds import follow, profile
+
+
+def test_speeds_are_means_over_a_stride():
+    # Commanded 1 m/s, then 2 m/s; robot 0 goes at 1 m/s throughout, robot 1 as commanded until it falls.
+    dt = 0.032
+    commanded = np.cumsum([0, *[1 * dt] * 4, *[2 * dt] * 4])
+    x = np.stack([dt * np.arange(9), commanded], axis=1)
+    ride = Ride.of(list(commanded), list(x), np.array([False, True]), stride=4)
+    np.testing.assert_allclose(ride.time_s, dt * np.arange(4, 9))
+    np.testing.assert_allclose(ride.commanded_mps, [1, 1.25, 1.5, 1.75, 2])
+    np.testing.assert_allclose(ride.measured_mps, [[1] * 5, [1, 1.25, 1.5, 1.75, 2]])
+    rows = {row["quantity"]: (row["value"], row["n"]) for row in ride.rows("x")}
+    assert rows == {
+        "starts_up": (1, 2),
+        "speed_error_rms_mps": (pytest.approx(np.sqrt((0 + 1 + 4 + 9 + 16) / 16 / 5)), 2),
+        "lowest_speed_mps": (pytest.approx(1), 2),
+        "highest_speed_mps": (pytest.approx(1), 2),
+    }
+    assert ride.curve() == {
+        **{"time_s": [0.128, 0.256], "commanded_mps": [1, 2]},
+        **{"mean_mps": [1, 1], "least_mps": [1, 1], "greatest_mps": [1, 1]},
+    }
+
+
+def test_a_ride_on_which_all_fall_has_no_speeds(tmp_path):
+    ride = Ride.of([0.0] * 6, [np.zeros(2)] * 6, np.array([True, True]), stride=4)
+    assert [row["quantity"] for row in ride.rows("x")] == ["starts_up"]
+    assert ride.rows("x")[0]["value"] == 0
+    assert ride.curve().keys() == {"time_s", "commanded_mps"}
+    draw(tmp_path / "falls.png", {"all fall": ride})
+
+
+def test_the_profile_jumps_every_two_seconds_for_a_minute():
+    factors = profile(0)
+    assert len(factors) == 1875
+    changes = np.flatnonzero(np.diff(factors)) + 1
+    # The first control step that begins at 2 s or later is the 63rd, at 2.016 s.
+    np.testing.assert_array_equal(changes, np.ceil(np.arange(2, 60, 2) / 0.032 - 1e-9))
+    assert factors.min() >= 0
+    assert 3 < factors.max() <= 4
+    np.testing.assert_array_equal(factors, profile(0))
+
+
+class Standing:
+    """A policy that asks for the reference angles alone, and keeps what it was shown."""
+
+    def __init__(self):
+        self.motion, self.seen = reference.resolve("walk"), []
+
+    def mode(self, observation):
+        self.seen.append(np.asarray(observation))
+        return jnp.zeros((len(observation), 10))
+
+
+def test_robots_are_told_the_speed_of_each_step():
+    policy: Any = Standing()
+    ride = follow(policy, np.repeat([1.0, 3.0], 20), starts=2)
+    assert ride.fell.all(), "the reference angles alone do not walk"
+    commanded = 0.5001 / 0.704
+    np.testing.assert_allclose(
+        ride.commanded_mps[[0, -1]], [commanded * (20 + 3 * 2) / 22, commanded * (2 + 60) / 22], rtol=1e-3
+    )
+    vx = policy.motion.qvel[:, 0]
+    # Robot 0 starts at phase 0; an observation shows the reference a control step ahead, at the speed told last.
+    np.testing.assert_allclose(policy.seen[5][0, 46], vx[6], rtol=1e-5)
+    assert policy.seen[21][1, 46] > 1.5, "1x is 0.71 m/s on the average"
