@@ -99,7 +99,10 @@ class TuneConfig:
 
 
 class Demand(NamedTuple):
-    """What candidates go through: about as much as the shipped preset survives, and more, so that they differ."""
+    """What candidates go through: about as much as the shipped preset survives at the worst phase, more and less.
+
+    More, so that candidates differ; less, because who survives a push may fall from a smaller one.
+    """
 
     forward: tuple[float, ...]  # N
     backward: tuple[float, ...]
@@ -108,8 +111,8 @@ class Demand(NamedTuple):
 
 
 DEMANDS = {
-    "stiff": Demand(forward=(300, 350), backward=(320, 370), left=(180, 240), terrain=(0.4,)),
-    "compliant": Demand(forward=(150, 175), backward=(170, 200), left=(70, 100), terrain=(0.3,)),
+    "stiff": Demand(forward=(200, 280, 340), backward=(220, 320, 370), left=(120, 180, 240), terrain=(0.4,)),
+    "compliant": Demand(forward=(100, 150, 175), backward=(120, 170, 200), left=(50, 70, 100), terrain=(0.3,)),
 }
 # Eighths of the stride at which a trial starts. Left and right are mirror images half a stride apart, so half of them
 # tell all of what comes along the walk, and pushes to the left all of those to the right.

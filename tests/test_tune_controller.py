@@ -39,17 +39,19 @@ def test_search_starts_at_the_shipped_preset(preset):
 def test_a_candidate_goes_through_every_kind_of_trial():
     listed = trials(DEMANDS["compliant"])
     forces = {trial.push for kind, trial in listed if kind == "backward"}
-    assert forces == {(-170.0, 0.0), (-200.0, 0.0)}
+    assert forces == {(-120.0, 0.0), (-170.0, 0.0), (-200.0, 0.0)}
     assert {trial.start for kind, trial in listed if kind == "left"} == set(range(8))
     assert {trial.terrain for kind, trial in listed if kind == "terrain"} == {0.3}
 
 
 @pytest.mark.slow
 def test_the_score_tells_good_from_bad_and_fallen():
-    shipped, clumsy, fallen = Evaluator("compliant")(
-        [COMPLIANT, replace(COMPLIANT, gain_x=0.3), replace(COMPLIANT, gain_y=0.0)]
+    shipped, short, fallen = Evaluator("compliant")(
+        [COMPLIANT, replace(COMPLIANT, reach_x=0.15, reach_y=0.2), replace(COMPLIANT, gain_y=0.0)]
     )
-    assert shipped.cost + 0.5 < clumsy.cost < fallen.cost
+    assert shipped.cost + 0.3 < short.cost < fallen.cost
     assert shipped.speed == pytest.approx(0.69, abs=0.02)
-    assert min(shipped.survival.values()) > 0.7
+    # Who takes short steps walks as well, until he is pushed.
+    assert short.speed == pytest.approx(shipped.speed, abs=0.01)
+    assert short.survival["forward"] + 0.3 < shipped.survival["forward"]
     assert max(fallen.survival.values()) < 0.1
