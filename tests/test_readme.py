@@ -45,6 +45,20 @@ def quoted():
     yield f"{mjx['compile_s']:.0f} s, then cached"
 
 
+def learned():
+    """What the five seeds of the walk say in the README."""
+    found = {row["quantity"]: row for row in rows("walking", variant="1x")}
+    best, plain = found["best_return_weighted"], found["best_return_plain"]
+    samples, seconds = found["samples_to_250_weighted"], found["train_s_to_250_weighted"]
+    content = json.loads((ROOT / "experiments" / "results" / "walking.json").read_text())
+    total = [run["curve"]["train_s"][-1] for run in content["runs"]]
+    yield f"{samples['n']} of {samples['runs']} runs learned"
+    yield f"{samples['min'] / 1e3:.0f} to {samples['max'] / 1e3:.0f} thousand samples"
+    yield f"{seconds['min']:.0f} to {seconds['max']:.0f} s of training"
+    yield f"after {min(total):.0f} to {max(total):.0f} s: at best"
+    yield f"{plain['min']:.0f} to {plain['max']:.0f} by the plain reward and {best['min']:.0f} to {best['max']:.0f} by"
+
+
 def bounds():
     """Patterns of the README, each with the measured figure that the one found must bound closely."""
     converged = rows("agreement", comparison="qacc, float64, converged")
@@ -56,7 +70,7 @@ def bounds():
     yield r"by up to (\S+) mm: the referee", max(-row["smallest_distance_mm"] for row in legs)
 
 
-@pytest.mark.parametrize("piece", list(quoted()))
+@pytest.mark.parametrize("piece", [*quoted(), *learned()])
 def test_what_the_readme_quotes_is_what_was_measured(piece):
     assert piece in TEXT
 

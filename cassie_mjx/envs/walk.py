@@ -82,7 +82,7 @@ class WalkEnv:
 
     def reset(self, key: jax.Array) -> WalkState:
         """Robots on the reference motion, each at a phase and a speed drawn at random, undisturbed."""
-        phase, speed = self._draw(key)
+        phase, speed = self._draw(key, self.robots)
         return self.reset_at(phase, Disturbance.none(self.robots), speed)
 
     def reset_at(self, phase: Array, disturbance: Disturbance, speed: Array | None = None) -> WalkState:
@@ -125,12 +125,12 @@ class WalkEnv:
         reference, _ = self._reference(clock, ahead=1)
         return reference[:, robot.ACTIVE_QPOS] + action
 
-    def _draw(self, key: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Phase and speed of new episodes, each [B]."""
-        phase = jax.random.randint(key, (self.robots,), 0, self.samples)
+    def _draw(self, key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array]:
+        """Phase and speed of new episodes, each [robots]: of a device's share of the B robots if there are several."""
+        phase = jax.random.randint(key, (robots,), 0, self.samples)
         low, high = self.speeds
         speed_key = jax.random.fold_in(key, _SPEED_KEY)
-        return phase, jax.random.uniform(speed_key, (self.robots,), minval=low, maxval=high)
+        return phase, jax.random.uniform(speed_key, (robots,), minval=low, maxval=high)
 
     def _reference(self, clock: Clock, ahead: int = 0) -> tuple[jax.Array, jax.Array]:
         """The motion at each robot's speed, `ahead` control steps from now: (qpos [B, 35], qvel [B, 32])."""
@@ -171,7 +171,7 @@ class WalkEnv:
         terminated = fallen | low
         truncated = ~terminated & (clock.step >= self.config.episode_steps)
 
-        fresh_clock, fresh_qpos, fresh_qvel, fresh_seen = self._start_states(*self._draw(key))
+        fresh_clock, fresh_qpos, fresh_qvel, fresh_seen = self._start_states(*self._draw(key, len(nan)))
         ended = terminated | truncated
         seen = self._observe(clock, sensed_qpos, sensed_qvel)
         return _Judgement(
