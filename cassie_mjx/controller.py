@@ -45,7 +45,7 @@ class ControllerConfig:
     period: float = 0.001
     """Time between two calls of `step` for which the other values were tuned, s."""
     step_time: float = 0.352
-    """Duration of one footstep, s; two make a stride of 22 control steps of 32 ms."""
+    """Duration of one footstep on the clock, s; two make a stride of 22 control steps of 32 ms."""
     speed: float = 0.66
     """Velocity of the centre of mass aimed at for the end of a step, m/s; the mean speed differs from it."""
     width: float = 0.291
@@ -107,7 +107,7 @@ class ControllerConfig:
     foot_limit: float = 14.9
     """Largest such torque, N·m; at about 20 the sole would tip on its heel, and lose its grip on the body's yaw."""
     ramp: float = 0.0114
-    """Time over which the stance leg takes over after the switch, s."""
+    """Time on the clock over which the stance leg takes over after the switch, s."""
     load: float = 0.0215
     """Spring deflection, as a share of that under full body weight, at which a landing leg counts as loaded."""
     hold: float = 0.0
@@ -157,7 +157,7 @@ class ControllerState:
     """What the walker carries from call to call.
 
     Attributes:
-      phase: time since the legs last switched, [B], s.
+      phase: time on the clock since the legs last switched, [B], s; the clock runs in real time unless it hurries.
       stance: side of the stance leg, [B], int32.
       liftoff_w: midpoint of the swing foot's sole when it left the ground, [B, 3], m.
       line_w: line of walking: a point of it (x, y) in m, and its heading in rad, [B, 3].
@@ -191,7 +191,7 @@ def step(
       qpos: [B, 35], in MuJoCo's order.
       qvel: [B, 32], in MuJoCo's order.
       bodies: poses and velocities of the bodies at (qpos, qvel).
-      dt: time until the next call, s; a step of `step_time` then lasts round(step_time / dt) calls.
+      dt: time until the next call, s; a steady step then lasts round(step_time / dt) calls.
 
     Returns:
       PD targets of the ten active joints, [B, 10], rad, for the published gains `robot.P_GAIN` and `robot.D_GAIN`, and
@@ -352,10 +352,10 @@ def _step_robot(
     now = sense(qpos, qvel, bodies)
     pivot = now.soles[state.stance]
     r = now.com - pivot
-    velocity, left = pendulum.velocity(bodies, now, pivot), config.step_time - state.phase
+    velocity, remaining = pendulum.velocity(bodies, now, pivot), config.step_time - state.phase
     planned = planned_velocity(config, r[2], 1 - state.stance)
-    pace = _pace(config, pendulum.velocity_after(r, velocity, left) - planned)
-    v_end = pendulum.velocity_after(r, velocity, left / pace)
+    pace = _pace(config, pendulum.velocity_after(r, velocity, remaining) - planned)
+    v_end = pendulum.velocity_after(r, velocity, remaining / pace)
     swing = _swing_torque(config, now, state, _landing(config, now, state, r, v_end), pace)
     jacobian = leg_jacobian(bodies, now, state.stance)
     weight = _stance_weight(config, state, qpos)

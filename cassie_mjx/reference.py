@@ -45,6 +45,7 @@ _HEIGHTS_M = (robot.FALL_LOW_M, robot.FALL_HIGH_M)
 _BEYOND_LIMIT_RAD = 0.3
 _NOT_UNIT = 1e-3
 _NOT_PERIODIC_RAD = 0.1
+_LONGEST_STRIDE_S = 10.0
 
 
 @jax.tree_util.register_dataclass
@@ -206,9 +207,10 @@ def load_trajectory(path: Path) -> ReferenceMotion:
     time, qpos, qvel = rows[:, _TIME], rows[:, _QPOS], rows[:, _QVEL]
     _check(ReferenceMotion(qpos, qvel, qpos[-1, _X] - qpos[0, _X]), path)
     duration = time[-1] - time[0]
-    if not (np.diff(time) > 0).all() or round(duration / CONTROL_PERIOD_S) < 2:
+    if not (np.diff(time) > 0).all() or not 2 * CONTROL_PERIOD_S <= duration <= _LONGEST_STRIDE_S:
         raise ValueError(
-            f"{path} is not a stride: its first column, time, must rise with each row, to 0.064 s or more."
+            f"{path} is not a stride: its first column, time, must rise with each row, "
+            f"by 0.064 to {_LONGEST_STRIDE_S:g} s in all."
         )
     gap = np.abs(np.delete(qpos[-1] - qpos[0], _X)).max()
     if gap > _NOT_PERIODIC_RAD:

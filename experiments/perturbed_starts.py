@@ -82,7 +82,7 @@ def walk(name: str, config: PerturbedConfig) -> EpisodeResult:
 def figures(result: EpisodeResult) -> list[tuple[str, float, str]]:
     """Quantity, value and unit: falls, and the extremes over the walks."""
     return [
-        ("falls", float(result.fell.sum()), f"of {len(result.fell)}"),
+        ("falls", float(result.fell.sum()), "1"),
         ("survived_s", float(result.survived_s.min()), "s"),
         ("speed_smallest_mps", float(result.speed_mps.min()), "m/s"),
         ("speed_largest_mps", float(result.speed_mps.max()), "m/s"),
@@ -96,7 +96,8 @@ def main(config: PerturbedConfig) -> None:
     rows: list[dict[str, Any]] = []
     for name in CONTROLLERS:
         for quantity, value, unit in figures(walk(name, config)):
-            rows.append({"subject": f"controller:{name}", "quantity": quantity, "value": value, "unit": unit})
+            figure = {"quantity": quantity, "value": value, "unit": unit, "n": config.robots}
+            rows.append({"subject": f"controller:{name}", **figure})
             Console(stderr=True).print(rows[-1])
     cli.write_json(out, {"rows": rows, "provenance": cli.provenance(**asdict(config))})
 

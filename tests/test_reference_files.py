@@ -130,6 +130,8 @@ def test_trajectory_of_the_published_duration_becomes_26_samples(tmp_path, motio
         (lambda rows: rows + 0.4 * (np.arange(98) == 1 + Z), "the pelvis goes from 1.37 to 1.38 m"),
         (lambda rows: rows + 3 * (np.arange(98) == 1 + robot.ACTIVE_QPOS[4]), "left-foot at 1.5.* rad, limits"),
         (lambda rows: rows * (np.arange(98) > 0), "time, must rise with each row"),
+        (lambda rows: np.where(np.arange(98) == 0, rows * 1e9, rows), "by 0.064 to 10 s in all"),
+        (lambda rows: np.vstack([rows[:-1], np.where(np.arange(98) == 0, np.inf, rows[-1])]), "by 0.064 to 10 s in"),
         (lambda rows: rows[: len(rows) // 3], "its last row must repeat the first besides x, and is off by 0.[1-9]"),
     ],
 )

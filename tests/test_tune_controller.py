@@ -1,6 +1,7 @@
 """The tuner: what it searches, what it puts candidates through, and that its score tells them apart."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from cassie_mjx import cli
 from cassie_mjx.controller import COMPLIANT, CONTROLLERS, STIFF
-from experiments.tune_controller import DEMANDS, Evaluator, TuneConfig, candidate, parameters, trials
+from experiments.tune_controller import DEMANDS, Evaluator, TuneConfig, candidate, on_time, parameters, trials
 
 
 @pytest.mark.parametrize(
@@ -31,7 +32,8 @@ def test_search_starts_at_the_shipped_preset(preset):
     nowhere = np.zeros(len(parameters(preset)))
     flat = jax.tree.leaves(candidate(preset, nowhere))
     np.testing.assert_allclose(flat, jax.tree.leaves(CONTROLLERS[preset]), rtol=1e-6)
-    assert min(candidate(preset, np.full(len(parameters(preset)), -9.0)).haste) == 0
+    assert min(candidate("stiff", np.full(len(parameters("stiff")), -9.0)).haste) == 0
+    assert candidate("compliant", np.ones(len(parameters("compliant")))).haste == COMPLIANT.haste
     assert candidate("compliant", np.ones(len(parameters("compliant")))).knee_p == COMPLIANT.knee_p
     assert candidate("stiff", np.ones(len(parameters("stiff")))).knee_p > STIFF.knee_p
 
@@ -42,6 +44,13 @@ def test_a_candidate_goes_through_every_kind_of_trial():
     assert forces == {(-120.0, 0.0), (-170.0, 0.0), (-200.0, 0.0)}
     assert {trial.start for kind, trial in listed if kind == "left"} == set(range(8))
     assert {trial.terrain for kind, trial in listed if kind == "terrain"} == {0.3}
+
+
+def test_a_clock_that_hurries_in_steady_walking_is_told():
+    """At phase 0 of a stride: the end of the right leg's step of 0.352 s, or the very start of the left leg's."""
+    state = SimpleNamespace(stance=np.array([1, 1, 0, 0]), phase=np.array([0.351, 0.340, 0.001, 0.020]))
+    memory = SimpleNamespace(state=state, config=SimpleNamespace(step_time=np.full(4, 0.352)))
+    np.testing.assert_array_equal(on_time(SimpleNamespace(memory=memory), 0.002), [True, False, True, False])
 
 
 @pytest.mark.slow
