@@ -99,7 +99,7 @@ class TuneConfig:
 
 
 class Demand(NamedTuple):
-    """What candidates go through: terrain at about the shipped preset's limit, pushes below and above its worst phase's.
+    """What candidates go through: terrain at about the shipped preset's limit, pushes below and above its worst phase.
 
     Above, so that candidates differ; below, because who survives a push may fall from a smaller one.
     """
