@@ -155,7 +155,7 @@ def _write_state(path: Path, arrays: dict[str, np.ndarray]) -> None:
     orbax_log = logging.getLogger("absl")
     orbax_log.disabled = True
     try:
-        with ocp.Checkpointer(ocp.StandardCheckpointHandler()) as checkpointer:
+        with _checkpointer() as checkpointer:
             checkpointer.save(path.absolute(), args=ocp.args.StandardSave(arrays))
     except ValueError as error:
         # TensorStore reports the system's errors in this form.
@@ -168,9 +168,16 @@ def _write_state(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 
 def _read_state(path: Path) -> dict[str, np.ndarray]:
-    with ocp.Checkpointer(ocp.StandardCheckpointHandler()) as checkpointer:
+    with _checkpointer() as checkpointer:
         restored = checkpointer.restore(path.absolute(), args=ocp.args.StandardRestore())
     return {name: np.asarray(value) for name, value in restored.items()}
+
+
+def _checkpointer() -> ocp.Checkpointer:
+    # By itself, orbax would wait for the other processes of a training to make the same call.
+    me = jax.process_index()
+    alone = ocp.options.MultiprocessingOptions(primary_host=me, active_processes={me})
+    return ocp.Checkpointer(ocp.StandardCheckpointHandler(multiprocessing_options=alone), multiprocessing_options=alone)
 
 
 def _checkpoints(directory: Path) -> list[Path]:

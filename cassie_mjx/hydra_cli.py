@@ -38,7 +38,6 @@ def run(
       name: of the configuration, as `--help` shows it.
       groups: field name to (default choice, choices): presets of a field that is a dataclass itself.
     """
-    keep_compiled_programs()
     _register(config_class, name, groups)
     # Hydra then raises what it would print in several lines.
     os.environ["HYDRA_FULL_ERROR"] = "1"
@@ -46,6 +45,8 @@ def run(
     # All configuration is in dataclasses: a path of our own would make each package beside this file a config group.
     @hydra.main(version_base="1.3", config_path="pkg://hydra.conf", config_name=name)
     def task(config: DictConfig) -> None:
+        # Here, for a launcher may have taken the task to another process.
+        keep_compiled_programs()
         try:
             main(OmegaConf.to_object(config))  # type: ignore[arg-type]
         except FrozenInstanceError as error:
@@ -68,7 +69,7 @@ def sentence(error: Exception) -> str:
             return f"{cause.full_key!r} is not a key; the keys are {keys}."
         return f"{cause.full_key}: {str(cause).splitlines()[0]}."
     if isinstance(error, MissingConfigException) and error.options:
-        choice = "=".join(str(error.missing_cfg_file).split("/"))
+        choice = "=".join(str(error.missing_cfg_file).rsplit("/", 1))
         return f"{choice} is not known; choose one of {', '.join(error.options)}."
     if isinstance(error, OverrideParseException):
         return f"{error.override!r} is not of the form key=value."

@@ -3,11 +3,12 @@
 import json
 import shlex
 import sys
+import zlib
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from cassie_mjx import checkpoint, cli
+from cassie_mjx import checkpoint, cli, devices
 from cassie_mjx.training import TrainConfig
 
 
@@ -15,30 +16,41 @@ def claim(folder: Path, config: TrainConfig, provenance: dict[str, Any]) -> chec
     """Take the run directory for a resolved configuration, and read its last checkpoint if the run is to go on.
 
     Raises:
-      ValueError: it holds a run already and `resume` is not set, or another run, or none to resume.
+      ValueError: it holds a run already and `resume` is not set, or another run, or files of something else to resume;
+        or the hosts do not share it.
       OSError: it cannot be written.
     """
     wanted = _comparable(asdict(config))
-    path = folder / "config.json"
-    if not path.exists():
-        if config.resume:
-            raise ValueError(f"{folder} holds no run to resume; leave resume=true out to start one.")
+    found = _look(folder, wanted, config.resume)
+    # No process writes before all have looked.
+    if len(set(devices.exchange(zlib.crc32(str(found).encode())))) > 1:
+        raise ValueError(f"{folder} is not the same directory on all hosts; choose a run_dir that they share.")
+    if devices.is_first() and not (folder / "config.json").exists():
         _begin(folder, {"config": wanted, "provenance": provenance})
-        return None
-    held = _held(path)
-    if held != wanted:
-        differing = [f"{key}={held.get(key)}" for key in wanted if held.get(key) != wanted[key]]
-        raise ValueError(f"{folder} holds another run, with {', '.join(differing)}; choose another run_dir.")
-    if not config.resume:
-        raise ValueError(f"{folder} holds this run already; to go on with it: {resume_command()}")
-    last = checkpoint.latest(folder / "checkpoints")
-    return checkpoint.restore(last) if last else None
+    return checkpoint.restore(found) if found else None
 
 
 def resume_command() -> str:
     """The present command, with resume=true."""
     arguments = [argument for argument in sys.argv[1:] if not argument.startswith("resume=")]
     return shlex.join(["python", "-m", "cassie_mjx.train", *arguments, "resume=true"])
+
+
+def _look(folder: Path, wanted: dict[str, Any], resume: bool) -> Path | None:
+    """The checkpoint to go on from, if there is one. Raise ValueError if the directory belongs to something else."""
+    path = folder / "config.json"
+    if not path.exists():
+        # A job that a cluster starts again has the same command the first time.
+        if resume and folder.exists() and any(folder.iterdir()):
+            raise ValueError(f"{folder} holds files, but no run to resume; choose another run_dir.")
+        return None
+    held = _held(path)
+    if held != wanted:
+        differing = [f"{key}={held.get(key)}" for key in wanted if held.get(key) != wanted[key]]
+        raise ValueError(f"{folder} holds another run, with {', '.join(differing)}; choose another run_dir.")
+    if not resume:
+        raise ValueError(f"{folder} holds this run already; to go on with it: {resume_command()}")
+    return checkpoint.latest(folder / "checkpoints")
 
 
 def _begin(folder: Path, content: dict[str, Any]) -> None:
@@ -62,5 +74,5 @@ def _comparable(config: dict[str, Any]) -> dict[str, Any]:
     for name, value in config.items():
         parts = value.items() if isinstance(value, dict) else ()
         flat |= {f"{name}.{part}": setting for part, setting in parts} or {name: value}
-    kept = {name: value for name, value in flat.items() if name not in ("resume", "run_dir")}
+    kept = {name: value for name, value in flat.items() if name not in ("resume", "run_dir", "distributed")}
     return json.loads(json.dumps(kept))

@@ -15,7 +15,7 @@ from types import FrameType
 import jax
 from rich.console import Console
 
-from cassie_mjx import checkpoint, cli, diagnosis, hydra_cli, reference, run_directory
+from cassie_mjx import checkpoint, cli, devices, diagnosis, hydra_cli, reference, run_directory
 from cassie_mjx.config import PPO_PRESETS, speed_factors
 from cassie_mjx.export import save_policy
 from cassie_mjx.metrics import JsonLines, TensorBoard, Terminal
@@ -70,11 +70,7 @@ class Session:
             self.counters = Counters(**restored.record["counters"])
         self.saved = self.done if restored else None
         self.terminal = Terminal(console, config.ppo.iterations, self.done)
-        self.sinks = (
-            JsonLines(self.folder / "metrics.jsonl", self.samples),
-            TensorBoard(self.folder / "tensorboard", self.samples),
-            self.terminal,
-        )
+        self.sinks = self._sinks() if devices.is_first() else ()
         self.referee, self.act = referee(self.motion, speeds=speeds), jax.jit(networks.mode)
         self.lap = Lap()
 
@@ -96,15 +92,17 @@ class Session:
                 began = time.perf_counter()
                 self.run = jax.block_until_ready(self.trainer.gather_statistics(self.run))
                 self._count(time.perf_counter() - began)
-            while self.done < self.config.ppo.iterations and not interruption.signal:
+            total, stopped = self.config.ppo.iterations, 0
+            # A signal to one process stops all of them after the same iteration.
+            while self.done < total and not (stopped := max(devices.exchange(interruption.signal))):
                 self._iterate()
             if self.saved != self.done:
                 self._save()
-        if interruption.signal and self.done < self.config.ppo.iterations:
+        if stopped:
             self.terminal.say(
                 f"Stopped and saved after iteration {self.done}. To go on:\n  {run_directory.resume_command()}"
             )
-            sys.exit(128 + interruption.signal)
+            sys.exit(128 + stopped)
         self._conclude()
 
     def _iterate(self) -> None:
@@ -115,18 +113,19 @@ class Session:
         self._count(elapsed)
         self.lap.iterations += 1
         self.lap.nan += int(metrics.nan)
-        if metrics.nan and not (self.folder / "nan").exists():
+        if metrics.nan and not max(devices.exchange((self.folder / "nan").exists())):
             self._diagnose(before)
         rate = self.config.ppo.num_samples / elapsed
         self.terminal.advance(float(metrics.update.reward), self._episode_steps(metrics), rate)
         if self.done % self.config.evaluate_every == 0 or self.done == self.config.ppo.iterations:
-            self._measure(metrics)
+            if devices.is_first():
+                self._measure(metrics)
             self._save()
 
     def _diagnose(self, before: RunState) -> None:
         """Keep what led to the run's first divergence of the physics."""
         found = self.trainer.replay(before)
-        if found:
+        if found and devices.is_first():
             diagnosis.dump(self.folder / "nan", self.trainer.env.physics.model, found)
         kept = (
             f"the model and the state before it are in {self.folder / 'nan'}"
@@ -135,6 +134,10 @@ class Session:
         )
         self.terminal.say(f"Physics diverged in iteration {self.done}, which ended an episode; {kept}.")
 
+    def _sinks(self) -> tuple[JsonLines, TensorBoard, Terminal]:
+        lines = JsonLines(self.folder / "metrics.jsonl", self.samples)
+        return lines, TensorBoard(self.folder / "tensorboard", self.samples), self.terminal
+
     def _count(self, seconds: float) -> None:
         self.counters.train_s += seconds
         self.lap.train_s += seconds
@@ -142,7 +145,7 @@ class Session:
     def _measure(self, metrics: IterationMetrics) -> None:
         """Measure the return, log it, and keep the policy."""
         began = time.perf_counter()
-        policy = self.run.learner.policy
+        policy = devices.own_copy(self.run.learner.policy)
         returns = walk_returns(lambda seen: self.act(policy, seen), self.referee)
         values = self._values(metrics, returns, time.perf_counter() - began)
         for sink in self.sinks:
@@ -179,13 +182,16 @@ class Session:
 
     def _save(self) -> None:
         record = {"config": asdict(self.config), "counters": asdict(self.counters), "provenance": self.provenance}
-        checkpoint.save(self.folder / "checkpoints", self.done, self.run, self.motion, record)
+        state = devices.gather(self.run)
+        if devices.is_first():
+            checkpoint.save(self.folder / "checkpoints", self.done, state, self.motion, record)
         self.saved = self.done
 
     def _plan(self) -> str:
         config = self.config
+        spread = f" on {jax.device_count()} devices" if config.physics == "mjx" and jax.device_count() > 1 else ""
         return (
-            f"{config.speed} on {config.reference}, {config.ppo.num_robots} robots on {config.physics} at "
+            f"{config.speed} on {config.reference}, {config.ppo.num_robots} robots on {config.physics}{spread} at "
             f"{config.physics_hz} Hz, {config.ppo.iterations} iterations of {config.ppo.num_samples:,} samples."
         )
 
@@ -222,7 +228,9 @@ def main(config: TrainConfig) -> None:
     """Train one policy."""
     # On few cores, XLA's threads take time from the physics' threads; it reads this when it makes its first array.
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
-    Session(config, Console()).train()
+    if config.distributed:
+        devices.join()
+    Session(config, Console(quiet=not devices.is_first())).train()
 
 
 if __name__ == "__main__":

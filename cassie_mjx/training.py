@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from cassie_mjx import diagnosis, robot
+from cassie_mjx import devices, diagnosis, robot
 from cassie_mjx.config import PPOConfig, speed_factors
 from cassie_mjx.envs import observation
 from cassie_mjx.envs.walk import WalkConfig, WalkEnv
@@ -47,7 +47,9 @@ class TrainConfig:
     run_dir: str | None = None
     """Directory of the run; null for runs/<speed>-seed<seed>."""
     resume: bool = False
-    """Whether to go on with the run that `run_dir` holds."""
+    """Whether to go on with the run that `run_dir` holds, if it holds one."""
+    distributed: bool = False
+    """Whether this is one of several processes of a cluster that train together, on MJX."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for a value out of range."""
@@ -80,9 +82,17 @@ class IterationMetrics(NamedTuple):
 
 
 def resolve(config: TrainConfig) -> TrainConfig:
-    """The configuration with nothing left to choose: engine, rate and directory."""
+    """The configuration with nothing left to choose: engine, rate and directory.
+
+    Raises:
+      ValueError: the engine cannot use several processes, or the sizes do not divide among the devices.
+    """
     accelerated = config.physics == "auto" and jax.default_backend() != "cpu"
     physics = ("mjx" if accelerated else "native") if config.physics == "auto" else config.physics
+    if physics == "mjx":
+        learner.check_devices(config.ppo, jax.device_count())
+    elif jax.process_count() > 1:
+        raise ValueError("physics=native runs in one process; choose physics=mjx to train with several.")
     return replace(
         config,
         physics=physics,
@@ -97,6 +107,8 @@ class Trainer:
     def __init__(self, config: TrainConfig, motion: ReferenceMotion) -> None:
         """Make the environment; on MuJoCo C, `watch` counts the time in `physics` and `learner`."""
         self.config, self.watch = config, Stopwatch()
+        # Where each part of a `RunState` belongs, if there is a choice.
+        self._places: Any = None
         update = partial(learner.update, config.ppo)
         model_hz = config.physics_hz or TRAINING_HZ[config.physics]
         _, speeds = speed_factors(config.speed)
@@ -104,8 +116,12 @@ class Trainer:
             physics = MjxPhysics(load_for_mjx(replace(MJX_TRAINING, physics_hz=model_hz)))
             self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots, speeds)
             self.collect = partial(rollout.collect, self.env.step, config.ppo)
-            # One compiled call an iteration.
-            self.iterate = jax.jit(partial(iterate, self.collect, update))
+            if jax.device_count() > 1:
+                self.collect, update = devices.on_all(self.collect, update)
+                same: Any = devices.same_everywhere()
+                self._places = RunState(same, devices.split_by_robot(), same)
+            # One compiled call an iteration. Left to itself, XLA moves empty arrays, and the next call compiles again.
+            self.iterate = jax.jit(partial(iterate, self.collect, update), out_shardings=(self._places, None))
         else:
             physics = _TimedPhysics(NativePhysics(load(ModelConfig(physics_hz=model_hz))), self.watch)
             self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots, speeds)
@@ -124,19 +140,28 @@ class Trainer:
         env_state = self.env.reset(reset_key)
         if self.config.physics == "mjx":
             env_state = jax.tree.map(jnp.asarray, env_state)
-        return RunState(state, env_state, jax.random.key_data(run_key))
+        return self._placed(RunState(state, env_state, jax.random.key_data(run_key)))
 
     def gather_statistics(self, run: RunState) -> RunState:
         """The run with the input statistics of the states that a random policy visits."""
         _, _, statistics_key, _ = self._keys()
         policy, samples = run.learner.policy, self.config.ppo.normalizer_samples
         normalizer = rollout.random_policy_statistics(self.collect, policy, run.env, statistics_key, samples)
-        return run._replace(learner=run.learner._replace(policy=policy._replace(normalizer=normalizer)))
+        return self._placed(run._replace(learner=run.learner._replace(policy=policy._replace(normalizer=normalizer))))
+
+    def _placed(self, run: RunState) -> RunState:
+        return run if self._places is None else jax.device_put(run, self._places)
 
     def replay(self, before: RunState) -> diagnosis.Divergence | None:
-        """What led to the first divergence of the physics in the iteration that began with `before`."""
+        """What led to the first divergence of the physics in the iteration that began with `before`.
+
+        Every process must call it, and finds the same.
+        """
+        before = before._replace(learner=devices.own_copy(before.learner), key=devices.own_copy(before.key))
         collect_key, _ = iteration_keys(before)
-        return diagnosis.replay(self.env, self.config.ppo, before.learner.policy, before.env, collect_key)
+        shares = [(before.env, collect_key)] if self._places is None else devices.shares(before.env, collect_key)
+        found = (diagnosis.replay(self.env, self.config.ppo, before.learner.policy, *share) for share in shares)
+        return next(filter(None, found), None)
 
     def _keys(self) -> jax.Array:
         return jax.random.split(jax.random.key(self.config.seed), 4)

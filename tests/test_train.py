@@ -173,10 +173,24 @@ def test_a_directory_that_holds_a_run_is_refused_untouched(unbroken, changes, se
     assert contents(unbroken) == before
 
 
-def test_there_must_be_a_run_to_resume(tmp_path):
-    with pytest.raises(ValueError, match="holds no run to resume"):
+def test_resume_starts_a_run_where_there_is_nothing_yet(tmp_path):
+    (tmp_path / "empty").mkdir()
+    for folder in (tmp_path / "missing", tmp_path / "empty"):
+        assert session(folder, resume=True).done == 0
+        assert json.loads((folder / "config.json").read_text())["config"]["seed"] == 0
+
+
+def test_files_of_something_else_are_no_run_to_resume(tmp_path):
+    (tmp_path / "metrics.jsonl").write_text("precious")
+    with pytest.raises(ValueError, match="holds files, but no run to resume; choose another run_dir"):
         session(tmp_path, resume=True)
-    assert not list(tmp_path.iterdir())
+    assert contents(tmp_path) == {tmp_path / "metrics.jsonl": b"precious"}
+
+
+def test_a_run_that_died_before_its_first_checkpoint_starts_anew(tmp_path):
+    session(tmp_path)
+    resumed = session(tmp_path, resume=True)
+    assert (resumed.done, resumed.saved) == (0, None)
 
 
 def test_a_directory_that_cannot_be_used_is_refused_in_one_sentence(tmp_path):
@@ -274,6 +288,7 @@ def test_a_sweep_runs_every_combination(monkeypatch, tmp_path):
         ("ppo.clip=1", "'ppo.clip' is not a key; the keys are num_robots, num_steps,"),
         ("+song=1", "A key with + in front must exist as well"),
         ("ppo=huge", "ppo=huge is not known; choose one of massive, paper, parallel."),
+        ("hydra/launcher=slurm", "hydra/launcher=slurm is not known; choose one of basic."),
         ("seed=one", "seed: Value 'one' of type 'str' could not be converted to Integer."),
         ("speed", "'speed' is not of the form key=value."),
         ("seed=0,1", "Ambiguous value for argument 'seed=0,1'"),
@@ -382,5 +397,5 @@ def test_a_stopwatch_counts_lap_by_lap():
 
 def test_every_choice_of_the_configuration_is_recorded(unbroken):
     held = json.loads((unbroken / "config.json").read_text())["config"]
-    top = set(asdict(TrainConfig())) - {"resume", "run_dir", "walk", "ppo"}
+    top = set(asdict(TrainConfig())) - {"resume", "run_dir", "distributed", "walk", "ppo"}
     assert top | {f"ppo.{name}" for name in asdict(TINY)} <= held.keys()

@@ -38,7 +38,9 @@ class MjxPhysics:
             leg and the pelvis is a plane that follows the tangent of z = h sin x.
           max_delay: longest delay that a disturbance will ask for, physics steps.
         """
-        self.model, self._mjx = model, mjx.put_model(model)
+        # By itself, MJX takes the first device of all, which may be another host's.
+        self._device = jax.local_devices()[0]
+        self.model, self._mjx = model, mjx.put_model(model, self._device)
         self.max_delay = max_delay
         self._loops = _LoopBias(self._mjx)
         self._floors = _Floors(model)
@@ -94,7 +96,7 @@ class MjxPhysics:
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
         """One physics step of one robot: `mjx.step` less what Cassie has not, plus the loops' bias acceleration."""
         m = self._mjx
-        d = mjx.make_data(m).replace(qpos=qpos, qvel=qvel, qacc_warmstart=warmstart)
+        d = mjx.make_data(m, self._device).replace(qpos=qpos, qvel=qvel, qacc_warmstart=warmstart)
         d = self.dynamics(d, torque, push, h)
         d = mjx.euler(m, d)
         return d.qpos, d.qvel, d.qacc_warmstart
@@ -122,7 +124,7 @@ class MjxPhysics:
 
     def _kinematics(self, state: PhysicsState) -> BodyState:
         def one(qpos: jax.Array, qvel: jax.Array) -> BodyState:
-            d = mjx.make_data(self._mjx).replace(qpos=qpos, qvel=qvel)
+            d = mjx.make_data(self._mjx, self._device).replace(qpos=qpos, qvel=qvel)
             d = mjx.com_vel(self._mjx, mjx.com_pos(self._mjx, mjx.kinematics(self._mjx, d)))
             return BodyState(d.xpos, d.xmat, d.xipos, d.ximat, d.cvel, d.subtree_com[robot.PELVIS_BODY])
 

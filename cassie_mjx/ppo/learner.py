@@ -86,7 +86,8 @@ def update(
         ValueError: the rollout is not of the size that `config` says, or does not divide among the devices.
     """
     devices = 1 if axis_name is None else jax.lax.axis_size(axis_name)
-    _check_sizes(config, rollout, devices)
+    check_devices(config, devices)
+    _check_rollout(config, rollout, devices)
     batch, explained_variance = _prepare(config, state, rollout, axis_name)
     rates = learning_rates(config, state)
 
@@ -115,6 +116,13 @@ def update(
     )
     step_factor = _adapt(config, state, metrics.kl)
     return trained._replace(step_factor=step_factor, iteration=state.iteration + 1), metrics
+
+
+def check_devices(config: PPOConfig, devices: int) -> None:
+    """Raise ValueError unless robots and minibatches divide among the devices."""
+    for name in ("num_robots", "minibatch_size"):
+        if getattr(config, name) % devices:
+            raise ValueError(f"{name} is {getattr(config, name)}; it must be a multiple of the {devices} devices.")
 
 
 def learning_rates(config: PPOConfig, state: LearnerState) -> LearningRates:
@@ -213,10 +221,7 @@ def _descend(params: Params, step: optax.Updates, learning_rate: Float[Array, ""
     return jax.tree.map(lambda p, s: p - learning_rate * s, params, step)
 
 
-def _check_sizes(config: PPOConfig, rollout: Rollout, devices: int) -> None:
-    for name in ("num_robots", "minibatch_size"):
-        if getattr(config, name) % devices:
-            raise ValueError(f"{name} is {getattr(config, name)}; it must be a multiple of the {devices} devices.")
+def _check_rollout(config: PPOConfig, rollout: Rollout, devices: int) -> None:
     given, expected = tuple(rollout.reward.shape), (config.num_steps, config.num_robots // devices)
     if given != expected:
         raise ValueError(
