@@ -51,7 +51,7 @@ class RenderConfig:
     """What to film."""
 
     policy: str = "1x"
-    """What walks, as in `cassie_mjx.evaluate`."""
+    """What walks: a single policy or a controller, named as in `cassie_mjx.evaluate`."""
     out: str = "walk.mp4"
     """Video file, .mp4 or .gif."""
     seconds: float = 10.0

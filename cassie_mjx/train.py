@@ -73,6 +73,7 @@ class Session:
         self.sinks = self._sinks() if devices.is_first() else ()
         self.referee, self.act = referee(self.motion, speeds=speeds), jax.jit(networks.mode)
         self.lap = Lap()
+        self.diagnosed = bool(max(devices.exchange((self.folder / "nan").exists())))
 
     @property
     def done(self) -> int:
@@ -113,7 +114,7 @@ class Session:
         self._count(elapsed)
         self.lap.iterations += 1
         self.lap.nan += int(metrics.nan)
-        if metrics.nan and not max(devices.exchange((self.folder / "nan").exists())):
+        if metrics.nan and not self.diagnosed:
             self._diagnose(before)
         rate = self.config.ppo.num_samples / elapsed
         self.terminal.advance(float(metrics.update.reward), self._episode_steps(metrics), rate)
@@ -123,7 +124,8 @@ class Session:
             self._save()
 
     def _diagnose(self, before: RunState) -> None:
-        """Keep what led to the run's first divergence of the physics."""
+        """Keep what led to the run's first divergence of the physics; looked for once, for a replay takes time."""
+        self.diagnosed = True
         found = self.trainer.replay(before)
         if found and devices.is_first():
             diagnosis.dump(self.folder / "nan", self.trainer.env.physics.model, found)

@@ -33,7 +33,7 @@ class ViewConfig:
     """What to watch."""
 
     policy: str = "1x"
-    """What walks, as in `cassie_mjx.evaluate`."""
+    """What walks: a single policy or a controller, named as in `cassie_mjx.evaluate`."""
     terrain: float = 0.0
     """Height h of the terrain z = h sin x, m; above 0 the robot starts on a crest."""
 

@@ -66,7 +66,7 @@ STUDIES = {
     "walking": (replace(DEFAULT, seeds=(0, 1, 2, 3, 4)),),
     "reward": (DEFAULT, Variant("1x-plain", {"walk.reward": "plain"})),
     "rate": (DEFAULT, Variant("1x-1000hz", {"physics_hz": "1000"})),
-    "speeds": (DEFAULT, *(Variant(speed, {"speed": speed}) for speed in ("0x", "2x", "3x", "4x", "any"))),
+    "learning_speeds": (DEFAULT, *(Variant(speed, {"speed": speed}) for speed in ("0x", "2x", "3x", "4x", "any"))),
     # What the paper prints, a tenth of its step sizes, and readings that differ from the printed one in a single point.
     "paper": (
         Variant("paper-printed", PAPER),

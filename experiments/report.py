@@ -22,6 +22,7 @@ STUDIES = {
     "walking": "Learning to walk",
     "reward": "Learning from the weighted reward, and from the plain one",
     "rate": "Learning with physics at 500 Hz, and at 1 kHz",
+    "learning_speeds": "Learning other speeds",
     "paper": "The paper's learner as printed, and readings that differ in one point",
 }
 """Studies of `experiments.learning`, and what they are about."""
@@ -173,7 +174,8 @@ def sped(folder: Path) -> str:
     shown, sources = [], [*find(folder, "speeds.json"), *find(folder, "interpolation.json")]
     for result in sources:
         with blaming(folder / result.name):
-            curves = result.content.get("rides") or {"profile": result.content["profile"]}
+            rides, profile = (result.content.get(name) for name in ("rides", "profile"))
+            curves = rides or ({"profile": profile} if profile else {})
             caption = "{}: speed; dashed as told; shaded from the least to the greatest of the robots up."
             shown += [(plots.ride(curve), caption.format(name)) for name, curve in curves.items()]
     compared = tables.speeds_and_blends(folder)

@@ -70,6 +70,12 @@ def bounds():
     yield r"by up to (\S+) mm: the referee", max(-row["smallest_distance_mm"] for row in legs)
 
 
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "docs/clusters.md"])
+def test_what_a_page_links_to_exists(page):
+    targets = re.findall(r"\]\(([^)#:]+)\)", (ROOT / page).read_text())
+    assert [target for target in targets if not (ROOT / page).parent.joinpath(target).exists()] == []
+
+
 @pytest.mark.parametrize("piece", [*quoted(), *learned()])
 def test_what_the_readme_quotes_is_what_was_measured(piece):
     assert piece in TEXT

@@ -1,6 +1,5 @@
 """Training runs: exact resume, signals, run directories, command lines, and what a NaN does."""
 
-import errno
 import io
 import json
 import os
@@ -8,23 +7,20 @@ import signal
 import subprocess
 import sys
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 from rich.console import Console
-from tensorboardX.event_file_writer import EventsWriter
-from tensorboardX.proto.event_pb2 import Event, SessionLog
 
 from cassie_mjx import checkpoint, hydra_cli
 from cassie_mjx.config import PPO_PRESETS, PPOConfig, speed_factor, speed_factors
 from cassie_mjx.export import NumpyPolicy
-from cassie_mjx.metrics import JsonLines, Stopwatch, TensorBoard, Terminal
+from cassie_mjx.metrics import Terminal
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.reference import resolve as resolve_motion
 from cassie_mjx.train import Session, TrainConfig
-from cassie_mjx.training import resolve
+from cassie_mjx.training import Trainer, resolve
 
 TINY = PPOConfig(
     num_robots=4,
@@ -231,6 +227,23 @@ def test_a_nan_in_physics_is_counted_survived_and_kept(tmp_path, monkeypatch):
     assert np.load(tmp_path / "nan" / "before.npz")["step"] == 2 * 16
 
 
+def test_a_divergence_that_does_not_recur_is_looked_for_once(tmp_path, monkeypatch):
+    advance, replays = NativePhysics.advance, []
+
+    def patched(self, state, target, disturbance, n_steps):
+        after = advance(self, state, target, disturbance, n_steps)
+        if len(state.qpos) == 4:
+            after.qpos[1] = np.nan
+        return after
+
+    monkeypatch.setattr(NativePhysics, "advance", patched)
+    monkeypatch.setattr(Trainer, "replay", lambda self, before: replays.append(before))
+    running = session(tmp_path)
+    running.train()
+    assert len(replays) == 1
+    assert "it did not recur in a replay" in running.terminal._console.file.getvalue()
+
+
 def test_auto_takes_mjx_on_an_accelerator_alone(monkeypatch):
     assert resolve(TrainConfig()).physics == "native"
     assert resolve(TrainConfig()).run_dir == "runs/1x-seed0"
@@ -343,56 +356,6 @@ def test_a_policy_for_any_speed_is_saved_with_the_motion_as_recorded(tmp_path):
     speeds = last_state(tmp_path / "any")[".env.clock.speed"]
     assert len(set(speeds.tolist())) == TINY.num_robots
     assert (last_state(tmp_path / "twice")[".env.clock.speed"] == 1).all()
-
-
-# Sinks
-
-
-def test_json_lines_forget_a_lost_future(tmp_path):
-    path = tmp_path / "metrics.jsonl"
-    path.write_text('{"train/samples": 10}\n{"train/samples": 20}\n{"train/samples": 30}\n{"train/sam')
-    JsonLines(path, samples=20).write({"train/samples": 25, "x": 0.5})
-    assert [json.loads(line) for line in path.read_text().splitlines()] == [
-        {"train/samples": 10},
-        {"train/samples": 20},
-        {"train/samples": 25, "x": 0.5},
-    ]
-
-
-def test_tensorboard_reads_the_curves_and_where_a_lost_future_begins(tmp_path):
-    TensorBoard(tmp_path / "board", samples=20).write({"train/samples": 25, "x": 0.5})
-    (path,) = (tmp_path / "board").glob("events.out.tfevents.*")
-    content, events = path.read_bytes(), []
-    # TFRecord: length [8], its checksum [4], the event, its checksum [4].
-    while content:
-        length = int.from_bytes(content[:8], "little")
-        events.append(Event.FromString(content[12 : 12 + length]))
-        content = content[16 + length :]
-    _version, start, *points = events
-    assert (start.step, start.session_log.status) == (21, SessionLog.START)
-    assert [(e.step, e.summary.value[0].tag, e.summary.value[0].simple_value) for e in points] == [
-        (25, "train/samples", 25),
-        (25, "x", 0.5),
-    ]
-
-
-@pytest.mark.parametrize(("sink", "call"), [(JsonLines, (Path, "open")), (TensorBoard, (EventsWriter, "flush"))])
-def test_a_full_disk_is_one_sentence(tmp_path, monkeypatch, sink, call):
-    def full(*_):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    opened = sink(tmp_path / "sink", samples=0)
-    monkeypatch.setattr(*call, full)
-    with pytest.raises(OSError, match=r"sink could not be written \(No space left on device\).$"):
-        opened.write({"train/samples": 25})
-
-
-def test_a_stopwatch_counts_lap_by_lap():
-    watch = Stopwatch()
-    double = watch.timed("double", lambda x: 2 * x)
-    assert double(3) == 6
-    assert watch.lap()["double"] > 0
-    assert watch.lap() == {}
 
 
 def test_every_choice_of_the_configuration_is_recorded(unbroken):

@@ -39,7 +39,7 @@ class WalkState:
       reward: of the last step, [B], 0 to 1.
       terminated: the last step ended the episode in a fall, a NaN or too low a reward, [B], bool.
       truncated: the last step was the last of a full-length episode, [B], bool.
-      metrics: of the last step, each [B]: the unweighted reward terms, `plain` and `weighted` rewards, `nan`.
+      metrics: of the last step, each [B]: the unweighted reward terms, `plain` and `weighted` rewards, `nan`, `fallen`.
     """
 
     physics: PhysicsState

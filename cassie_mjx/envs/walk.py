@@ -90,11 +90,11 @@ class WalkEnv:
 
         `speed` [B] are factors on the motion's speed; if none are given, they go evenly from the lowest to the highest.
         """
-        speed = np.linspace(*self.speeds, self.robots) if speed is None else speed
+        speed = np.linspace(*self.speeds, len(phase)) if speed is None else speed
         clock, qpos, qvel, seen = self._start(jnp.asarray(phase, jnp.int32), jnp.asarray(speed, jnp.float32))
         physics = self.physics.init(qpos, qvel)
-        zeros = jnp.zeros(self.robots)
-        ended = jnp.zeros(self.robots, bool)
+        zeros = jnp.zeros(len(phase))
+        ended = jnp.zeros(len(phase), bool)
         metrics = {name: zeros for name in (*_METRICS, *reward.Terms._fields)}
         return WalkState(physics, disturbance, clock, seen, seen, zeros, ended, ended, metrics)
 
