@@ -52,11 +52,9 @@ def test_shipped_file_says_where_it_comes_from():
 def test_shipped_file_is_what_the_recorder_makes():
     """The walk has converged onto one cycle; other processors round otherwise on the way to it."""
     _, provenance = load(shipped_path("walk"))
-    config = RecordConfig(
-        preset=provenance["preset"], strides=provenance["strides"], speeds=(provenance["controller_speed_mps"],)
-    )
-    again, _ = record(config)
+    again, figures = record(RecordConfig(preset=provenance["preset"], strides=provenance["strides"]))
     motion = resolve("walk")
+    assert figures["controller_speed_mps"] == provenance["controller_speed_mps"]
     np.testing.assert_allclose(again.stride_length, motion.stride_length, atol=1e-3)
     np.testing.assert_allclose(again.qpos, motion.qpos, atol=2e-3)
     np.testing.assert_allclose(again.qvel, motion.qvel, atol=0.1)
