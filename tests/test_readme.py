@@ -59,6 +59,14 @@ def learned():
     yield f"{plain['min']:.0f} to {plain['max']:.0f} by the plain reward and {best['min']:.0f} to {best['max']:.0f} by"
 
 
+def tuned():
+    """What the tuner found, beside the presets."""
+    for preset in ("compliant", "stiff"):
+        content = json.loads((ROOT / "experiments" / "results" / f"tune_{preset}.json").read_text())
+        found, shipped = (content["scores"][name]["cost"] for name in ("found", "shipped"))
+        yield f"{found:.3f} against {shipped:.3f} for `{preset}` in {content['provenance']['generations']}"
+
+
 def bounds():
     """Patterns of the README, each with the measured figure that the one found must bound closely."""
     converged = rows("agreement", comparison="qacc, float64, converged")
@@ -76,7 +84,7 @@ def test_what_a_page_links_to_exists(page):
     assert [target for target in targets if not (ROOT / page).parent.joinpath(target).exists()] == []
 
 
-@pytest.mark.parametrize("piece", [*quoted(), *learned()])
+@pytest.mark.parametrize("piece", [*quoted(), *learned(), *tuned()])
 def test_what_the_readme_quotes_is_what_was_measured(piece):
     assert piece in TEXT
 
