@@ -153,7 +153,7 @@ def with_two_devices_a_point_robot_is_trained(distributed):
     np.testing.assert_allclose(gathered.squares / gathered.samples, seen.var(axis=0), rtol=1e-4)
 
 
-@pytest.mark.parametrize("start", [two_devices, two_processes])
+@pytest.mark.parametrize("start", [two_devices, pytest.param(two_processes, marks=pytest.mark.slow)])
 def test_two_devices_share_robots_and_learn_as_one(start):
     finish(start(*call(with_two_devices_a_point_robot_is_trained, start is two_processes)))
 
