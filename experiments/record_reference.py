@@ -2,8 +2,7 @@
 
 Robots that aim at different speeds walk side by side from standing, in MuJoCo C at 2 kHz. After they have settled, one
 stride is kept of the robot whose stride is nearest to half a metre, and made exactly periodic and symmetric. Nothing in
-it is random. With `plot=FILE.png` the motion is drawn as curves, with `strip=FILE.png` as pictures (where there is no
-screen, set MUJOCO_GL to osmesa or egl).
+it is random. With `plot=FILE.png` the motion is drawn as curves, with `strip=FILE.png` as pictures.
 """
 
 from dataclasses import dataclass, replace
@@ -18,9 +17,10 @@ from rich.console import Console
 
 from cassie_mjx import cli, robot
 from cassie_mjx.controller import CONTROLLERS
-from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load, loop_error, xml_path
+from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load, loop_error
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.reference import ReferenceMotion, heading_x, make_periodic, save, velocity_error
+from cassie_mjx.render import load_scene, open_renderer
 from cassie_mjx.subjects import ControllerSubject, walked
 from cassie_mjx.trials import fallen
 
@@ -169,10 +169,10 @@ def draw(path: Path, physics: NativePhysics, motion: ReferenceMotion) -> None:
 
 def render(path: Path, motion: ReferenceMotion) -> None:
     """Render frames of one stride, evenly spaced, side by side."""
-    scene = mujoco.MjModel.from_xml_path(str(xml_path("flat")))
+    scene = load_scene()
     data = mujoco.MjData(scene)
     frames = []
-    with mujoco.Renderer(scene, FRAME_HEIGHT, FRAME_WIDTH) as renderer:
+    with open_renderer(scene, FRAME_WIDTH, FRAME_HEIGHT) as renderer:
         for k in np.arange(FRAMES) * len(motion.qpos) // FRAMES:
             data.qpos[:] = motion.qpos[k]
             mujoco.mj_forward(scene, data)
