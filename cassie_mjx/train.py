@@ -66,7 +66,8 @@ class Session:
         self.folder = Path(str(config.run_dir))
         self.factor, speeds = speed_factors(config.speed)
         motion = reference.stretch(reference.resolve(config.reference), self.factor)
-        policy = None if config.resume else initial_policy(config)
+        begun = checkpoint.latest(self.folder / "checkpoints") is not None
+        policy = None if begun else initial_policy(config)
         self.provenance = cli.provenance()
         restored = run_directory.claim(self.folder, config, self.provenance)
         self.motion = restored.motion if restored else motion

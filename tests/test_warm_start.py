@@ -80,6 +80,12 @@ def test_it_resumes_without_the_policy_it_started_from(first, tmp_path):
     assert_same_state(tmp_path / "stopped", tmp_path / "unbroken")
 
 
+def test_a_requeued_job_starts_as_the_policy_it_is_given(first, tmp_path):
+    begun, again = (session(tmp_path / str(k), init=str(first), resume=bool(k)).run.learner for k in (0, 1))
+    np.testing.assert_array_equal(begun.policy.normalizer.mean, again.policy.normalizer.mean)
+    assert float(again.policy.normalizer.samples) == NumpyPolicy.load(first / "best.npz").samples
+
+
 def stop_after(iterations, begun):
     """Train so far and no further, as a signal would have it."""
     begun.config = replace(begun.config, ppo=replace(TINY, iterations=iterations))
