@@ -24,7 +24,7 @@ import numpy as np
 from cassie_mjx.config import PPOConfig
 from cassie_mjx.envs.types import WalkState
 from cassie_mjx.envs.walk import WalkEnv
-from cassie_mjx.model import servo_model
+from cassie_mjx.model import servo_model, set_terrain
 from cassie_mjx.physics.types import Array, Disturbance, Physics, PhysicsState
 from cassie_mjx.ppo.rollout import collect_on_host
 from cassie_mjx.ppo.types import Policy
@@ -52,14 +52,17 @@ def replay(env: WalkEnv, config: PPOConfig, policy: Policy, state: WalkState, ke
     return watched.divergence
 
 
-def dump(folder: Path, model: mujoco.MjModel, divergence: Divergence) -> None:
+def dump(folder: Path, physics: Physics, divergence: Divergence) -> None:
     """Write `model.mjb` and `before.npz` into a new folder.
 
     Raises:
       OSError: they cannot be written.
     """
     folder.mkdir(parents=True)
-    mujoco.mj_saveModel(servo_model(model), str(folder / "model.mjb"))
+    model = servo_model(physics.model, physics.damping)
+    if model.nhfield:
+        set_terrain(model, float(divergence["terrain"]))
+    mujoco.mj_saveModel(model, str(folder / "model.mjb"))
     np.savez(folder / "before.npz", **divergence)
 
 
@@ -67,7 +70,7 @@ class _WatchedPhysics:
     """An engine that remembers what it was asked for when a robot's state first stopped being finite."""
 
     def __init__(self, physics: Physics) -> None:
-        self.model, self.max_delay = physics.model, physics.max_delay
+        self.model, self.max_delay, self.damping = physics.model, physics.max_delay, physics.damping
         self.init, self.bodies, self._advance = physics.init, physics.bodies, physics.advance
         self.divergence: Divergence | None = None
 

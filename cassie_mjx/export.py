@@ -118,7 +118,12 @@ def find(name: str) -> Path | None:
 
 
 def save_policy(
-    path: Path, policy: "Policy", motion: "ReferenceMotion", speed: float, provenance: Mapping[str, Any]
+    path: Path,
+    policy: "Policy",
+    motion: "ReferenceMotion",
+    speed: float,
+    damping: float,
+    provenance: Mapping[str, Any],
 ) -> None:
     """Write a policy file, whole or not at all.
 
@@ -127,6 +132,7 @@ def save_policy(
       policy: actor and input statistics.
       motion: what the policy was trained to follow, stretched already.
       speed: by which factor.
+      damping: factor on the D gains of the PD law that holds its targets.
       provenance: anything JSON can hold.
 
     Raises:
@@ -154,7 +160,7 @@ def save_policy(
         "reference_stride_length": motion.stride_length,
         "joints": robot.ACTUATORS,
         "p_gain": robot.P_GAIN,
-        "d_gain": robot.D_GAIN,
+        "d_gain": damping * robot.D_GAIN,
         "observation": observation.describe(),
     }
     partial = path.with_name(path.name + ".partial")
@@ -259,7 +265,7 @@ class ExportConfig:
     out: str
     """File to write, .npz."""
     which: str = "best"
-    """"best": the policy of the highest weighted return; "last": that of the last evaluation."""
+    """"best": the policy of the highest weighted return, in a run under disturbances the last; "last": the last."""
 
 
 def main(config: ExportConfig) -> None:

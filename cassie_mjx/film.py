@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from cassie_mjx import robot
+from cassie_mjx.envs.disturbance import PUSH_S
 from cassie_mjx.model import ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.trials import PUSH_S, Subject, Trial, Walker, decide, disturbances, fallen, placed
+from cassie_mjx.trials import Subject, Trial, Walker, decide, disturbances, fallen, placed
 
 # A film goes on for so long after a fall.
 AFTER_FALL_S = 1.0
@@ -31,10 +32,10 @@ class Shot(NamedTuple):
 
 def begin(subject: Subject, trial: Trial, phase: float) -> tuple[NativePhysics, Walker]:
     """The engine of a trial, and the one robot that starts it in steady walking at `phase` of its stride, 0 to 1."""
-    physics = NativePhysics(load(ModelConfig()), trial.delay, threads=1)
+    physics = NativePhysics(load(ModelConfig()), trial.delay, threads=1, damping=subject.damping)
     starts = subject.start(physics, np.array([phase]))
     if trial.terrain:
-        physics = NativePhysics(load(ModelConfig(scene="terrain")), trial.delay, threads=1)
+        physics = NativePhysics(load(ModelConfig(scene="terrain")), trial.delay, threads=1, damping=subject.damping)
     return physics, placed(subject, starts, [trial])
 
 

@@ -13,11 +13,11 @@ import jax
 import numpy as np
 
 from cassie_mjx import robot
+from cassie_mjx.envs.disturbance import PUSH_S
 from cassie_mjx.model import CONTROL_PERIOD_S, steps_per_control
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.types import Array, Disturbance, Physics, PhysicsState, delayed, merge, namespace
 from cassie_mjx.trials import (
-    PUSH_S,
     SPEED_WINDOW_S,
     EpisodeResult,
     Subject,
@@ -140,7 +140,16 @@ class Flight(NamedTuple):
 
 
 def begin(subject: Subject, physics: Physics, starts: Walker, trials: Sequence[Trial]) -> Flight:
-    """Robots [B] about to begin these trials; arguments as in `sweeps.conduct`."""
+    """Robots [B] about to begin these trials; arguments as in `sweeps.conduct`.
+
+    Raises:
+      ValueError: the engine's PD law is not the subject's.
+    """
+    if subject.damping != physics.damping:
+        raise ValueError(
+            f"{subject.name} walks with damping={subject.damping:g}, this engine has {physics.damping:g}; "
+            "make it with the subject's."
+        )
     walker = placed(subject, starts, trials)
     disturbance = disturbances(trials, walker.physics, round(PUSH_S / physics.model.opt.timestep))
     return Flight(walker, disturbance, Record.begin(walker.physics.qpos, trials))
@@ -181,7 +190,7 @@ def control_step(subject: Subject, physics: Physics, flight: Flight) -> Flight:
 
         def move(carry: tuple[PhysicsState, Array]) -> tuple[PhysicsState, Array]:
             state = physics.advance(carry[0], target, disturbance, chunk)
-            return state, carry[1] + motor_effort(state, target, disturbance)
+            return state, carry[1] + motor_effort(state, target, disturbance, physics.damping)
 
         state, effort = _repeat(act_steps // chunk, move, (walker.physics, effort))
         return Walker(state, memory), effort
@@ -191,14 +200,14 @@ def control_step(subject: Subject, physics: Physics, flight: Flight) -> Flight:
     return Flight(walker, disturbance, record.update(walker.physics.qpos, disturbance.terrain, effort))
 
 
-def motor_effort(state: PhysicsState, target: Array, disturbance: Disturbance) -> Array:
-    """What PD targets [B, 10] (rad) ask of the motors at the joints, [B, 2].
+def motor_effort(state: PhysicsState, target: Array, disturbance: Disturbance, damping: float) -> Array:
+    """What PD targets [B, 10] (rad) ask of the motors at the joints, [B, 2]; `damping` is the PD law's.
 
     Returns:
       Mean over motors of |torque|, N·m, and sum over motors of max(torque x velocity, 0), W.
     """
     qpos, qvel = delayed(state, disturbance)
-    torque = robot.pd_torque(target, qpos[:, robot.ACTIVE_QPOS], qvel[:, robot.ACTIVE_QVEL])
+    torque = robot.pd_torque(target, qpos[:, robot.ACTIVE_QPOS], qvel[:, robot.ACTIVE_QVEL], damping)
     power = (torque * state.qvel[:, robot.ACTIVE_QVEL]).clip(0)
     return namespace(state.qpos).stack([abs(torque).mean(axis=1), power.sum(axis=1)], axis=1)
 

@@ -91,9 +91,15 @@ def _register(config_class: type, name: str, groups: Mapping[str, tuple[str, Map
 def _writable(config: Any) -> DictConfig:
     """The schema of a frozen dataclass, into which Hydra may merge before `OmegaConf.to_object` freezes the result."""
     node = OmegaConf.structured(config)
-    for part in (node, *(value for value in node.values() if isinstance(value, DictConfig))):
-        OmegaConf.set_readonly(part, None)
+    _unfreeze(node)
     return node
+
+
+def _unfreeze(node: DictConfig) -> None:
+    OmegaConf.set_readonly(node, None)
+    for value in node.values():
+        if isinstance(value, DictConfig):
+            _unfreeze(value)
 
 
 def _exit(error: Exception) -> None:

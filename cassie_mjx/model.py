@@ -106,10 +106,11 @@ def load_for_mjx(config: ModelConfig) -> mujoco.MjModel:
     return _compile(spec, config)
 
 
-def servo_model(model: mujoco.MjModel) -> mujoco.MjModel:
+def servo_model(model: mujoco.MjModel, damping: float = 1.0) -> mujoco.MjModel:
     """A copy whose motors are position servos in joint units: control is the PD target in rad.
 
-    Force = P ctrl - P q - D qdot, clipped to the joint's torque limit: the PD law, evaluated by MuJoCo at every step.
+    Force = P ctrl - P q - s D qdot with s = `damping`, clipped to the joint's torque limit: the PD law of
+    `robot.pd_torque`, evaluated by MuJoCo at every step.
     """
     servo = copy.copy(model)
     servo.actuator_gear[:, 0] = 1.0
@@ -117,7 +118,7 @@ def servo_model(model: mujoco.MjModel) -> mujoco.MjModel:
     servo.actuator_gainprm[:, 0] = robot.P_GAIN
     servo.actuator_biastype[:] = mujoco.mjtBias.mjBIAS_AFFINE
     servo.actuator_biasprm[:, 1] = -robot.P_GAIN
-    servo.actuator_biasprm[:, 2] = -robot.D_GAIN
+    servo.actuator_biasprm[:, 2] = -damping * robot.D_GAIN
     servo.actuator_ctrllimited[:] = 0
     servo.actuator_forcelimited[:] = 1
     servo.actuator_forcerange[:] = np.stack([-robot.TORQUE_LIMIT, robot.TORQUE_LIMIT], axis=1)

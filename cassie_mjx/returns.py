@@ -29,8 +29,9 @@ def referee(
       physics: the engine; MuJoCo C at 2 kHz unless given.
       speeds: lowest and highest factor on the motion's speed; the ten robots have ten from the one to the other.
     """
-    config = WalkConfig(early_end_reward=None, episode_steps=EPISODE_STEPS)
-    return WalkEnv(physics or NativePhysics(load(ModelConfig(physics_hz=2000))), motion, config, STARTS, speeds)
+    physics = physics or NativePhysics(load(ModelConfig(physics_hz=2000)))
+    config = WalkConfig(early_end_reward=None, episode_steps=EPISODE_STEPS, damping=physics.damping)
+    return WalkEnv(physics, motion, config, STARTS, speeds)
 
 
 def walk_returns(act: Act, env: WalkEnv, disturbance: Disturbance | None = None) -> dict[str, float]:

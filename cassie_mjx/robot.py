@@ -100,7 +100,7 @@ TOE = np.array([-0.052821, 0.092622, 0.0])
 HEEL = np.array([0.069746, -0.010224, 0.0])
 FOOT_RADIUS_M = 0.02
 
-# PD gains and torque limits of the ten active joints, joint side: N·m/rad, N·m·s/rad, N·m.
+# Published PD gains and torque limits of the ten active joints, joint side: N·m/rad, N·m·s/rad, N·m.
 P_GAIN = np.tile([100.0, 100.0, 88.0, 96.0, 50.0], 2)
 D_GAIN = np.tile([10.0, 10.0, 8.0, 9.6, 5.0], 2)
 TORQUE_LIMIT = np.tile([112.5, 112.5, 195.2, 195.2, 45.0], 2)
@@ -119,22 +119,23 @@ Array: TypeAlias = Any
 """A NumPy or a JAX array; the functions below serve both."""
 
 
-def pd_torque(target: Array, q: Array, qdot: Array) -> Array:
+def pd_torque(target: Array, q: Array, qdot: Array, damping: float = 1.0) -> Array:
     """Joint torque of the PD law, N·m, for NumPy and JAX arrays alike.
 
     Args:
       target: PD target of the active joints, [..., 10], rad.
       q: active joint angles, [..., 10], rad.
       qdot: active joint velocities, [..., 10], rad/s.
+      damping: s, factor on all D gains.
 
     Returns:
-      tau = clip(P (target - q) - D qdot, -limit, limit), [..., 10].
+      tau = clip(P (target - q) - s D qdot, -limit, limit), [..., 10].
     """
-    return (P_GAIN * (target - q) - D_GAIN * qdot).clip(-TORQUE_LIMIT, TORQUE_LIMIT)
+    return (P_GAIN * (target - q) - damping * D_GAIN * qdot).clip(-TORQUE_LIMIT, TORQUE_LIMIT)
 
 
 def torque_as_target(torque: Array, q: Array, qdot: Array) -> Array:
-    """The PD target, rad, [..., 10], whose PD law gives `torque` (N·m) at joint state (q, qdot)."""
+    """The PD target, rad, [..., 10], whose PD law, undiminished, gives `torque` (N·m) at joint state (q, qdot)."""
     return q + (torque + D_GAIN * qdot) / P_GAIN
 
 

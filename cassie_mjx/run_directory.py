@@ -70,9 +70,12 @@ def _held(path: Path) -> dict[str, Any]:
 
 def _comparable(config: dict[str, Any]) -> dict[str, Any]:
     """What makes a run the run it is, flat and as JSON gives it back."""
+    kept = {name: value for name, value in _flat(config).items() if name not in ("resume", "run_dir", "distributed")}
+    return json.loads(json.dumps(kept))
+
+
+def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     flat = {}
     for name, value in config.items():
-        parts = value.items() if isinstance(value, dict) else ()
-        flat |= {f"{name}.{part}": setting for part, setting in parts} or {name: value}
-    kept = {name: value for name, value in flat.items() if name not in ("resume", "run_dir", "distributed")}
-    return json.loads(json.dumps(kept))
+        flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
+    return flat

@@ -112,7 +112,7 @@ class ControllerSubject:
           name: of the preset, which also gives period and step time.
           config: other parameters than the preset's; leaves [B] for the B robots of `begin`, or [].
         """
-        self.name = CONTROLLER_PREFIX + name
+        self.name, self.damping = CONTROLLER_PREFIX + name, 1.0
         self.provenance: Mapping[str, Any] = {}
         preset = CONTROLLERS[name]
         self.config = config or preset
@@ -170,8 +170,12 @@ class PolicySubject:
         """Take a saved policy, and a speed at which it is told to walk, if not its own.
 
         Raises:
-          ValueError: it was made for another layout of the observation, or its reference cannot have that speed.
+          ValueError: it was made for another layout of the observation or for gains that no engine of ours has, or its
+            reference cannot have that speed.
         """
+        self.damping = float(saved.d_gain[0] / robot.D_GAIN[0])
+        if not (np.allclose(saved.d_gain, self.damping * robot.D_GAIN) and np.allclose(saved.p_gain, robot.P_GAIN)):
+            raise ValueError(f"policy={name} has PD gains other than the published ones with all D scaled alike.")
         self.name, self.provenance = name if speed is None else f"{name} speed={speed}", saved.provenance
         policy = learner_policy(saved)
         self.motion = ReferenceMotion(
@@ -231,6 +235,9 @@ class BlendSubject:
         self.name = f"{BLEND_PREFIX}{','.join(policy.name for policy in policies)} schedule={schedule}"
         self.provenance = {policy.name: policy.provenance for policy in policies}
         interpolate.check_chain(self.motions)
+        self.damping = policies[0].damping
+        if any(policy.damping != self.damping for policy in policies):
+            raise ValueError(f"{self.name}: its policies have D gains of their own, so that no one PD law holds both.")
         if schedule not in SCHEDULES:
             raise ValueError(f"schedule={schedule} is not known; choose one of {', '.join(SCHEDULES)}.")
         if schedule == "adaptive" and (np.diff(self.speeds) <= 0).any():

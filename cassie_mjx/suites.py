@@ -12,12 +12,13 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import numpy as np
 
+from cassie_mjx.envs.disturbance import PUSH_S
 from cassie_mjx.model import MJX_TESTING, ModelConfig, load, load_for_mjx
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Physics
 from cassie_mjx.sweeps import LimitSearch, Watch, conduct, fly
-from cassie_mjx.trials import AFTER_PUSH_S, PUSH_S, EpisodeResult, Measured, Subject, Trial, Walker
+from cassie_mjx.trials import AFTER_PUSH_S, EpisodeResult, Measured, Subject, Trial, Walker
 
 ENGINES = ("native", "mjx")
 
@@ -51,16 +52,16 @@ class Setting:
     watch: Watch | None = None
     """Told of progress."""
 
-    def physics(self, scene: str = "flat", longest_delay_s: float = 0.0) -> Physics:
-        """The engine."""
+    def physics(self, subject: Subject, scene: str = "flat", longest_delay_s: float = 0.0) -> Physics:
+        """The engine, with the subject's PD law."""
         if self.engine == "mjx":
-            return _mjx(round(longest_delay_s * MJX_TESTING.physics_hz))
+            return _mjx(round(longest_delay_s * MJX_TESTING.physics_hz), subject.damping)
         config = ModelConfig(scene=scene)
-        return NativePhysics(load(config), round(longest_delay_s * config.physics_hz))
+        return NativePhysics(load(config), round(longest_delay_s * config.physics_hz), damping=subject.damping)
 
     def starts(self, subject: Subject, phases: np.ndarray, longest_delay_s: float = 0.0) -> Walker:
         """The subject in steady walking at `phases` [B] of its stride."""
-        return subject.start(Setting().physics(longest_delay_s=longest_delay_s), phases)
+        return subject.start(Setting().physics(subject, longest_delay_s=longest_delay_s), phases)
 
     @property
     def lanes(self) -> int:
@@ -76,9 +77,9 @@ class Setting:
 
 
 @functools.cache
-def _mjx(max_delay: int) -> MjxPhysics:
+def _mjx(max_delay: int, damping: float) -> MjxPhysics:
     """One engine for all suites that can share it, so that they share what is compiled for it."""
-    return MjxPhysics(load_for_mjx(MJX_TESTING), max_delay)
+    return MjxPhysics(load_for_mjx(MJX_TESTING), max_delay, damping)
 
 
 Suite: TypeAlias = Callable[[Subject, Setting], Findings]
@@ -86,7 +87,7 @@ Suite: TypeAlias = Callable[[Subject, Setting], Findings]
 
 def walk(subject: Subject, setting: Setting) -> Findings:
     """Undisturbed walking on the flat from ten phases of the stride."""
-    physics, starts = setting.physics(), setting.starts(subject, WALK_PHASES)
+    physics, starts = setting.physics(subject), setting.starts(subject, WALK_PHASES)
     figures = subject.returns(physics)
     for seconds, suffix in setting.durations:
         trials = [Trial(start, seconds) for start in range(len(WALK_PHASES))]
@@ -120,7 +121,7 @@ def push(subject: Subject, setting: Setting) -> Findings:
 
     search = LimitSearch(trial, len(groups), LARGEST_PUSH_N // PUSH_STEP_N)
     starts = setting.starts(subject, LIMIT_PHASES)
-    conduct(subject, setting.physics(), starts, search, setting.lanes, setting.watch)
+    conduct(subject, setting.physics(subject), starts, search, setting.lanes, setting.watch)
     return Findings(push_figures(PUSH_STEP_N * search.limit.reshape(len(DIRECTIONS), -1), list(DIRECTIONS)))
 
 
@@ -153,7 +154,7 @@ def push_map(subject: Subject, setting: Setting) -> Findings:
         for force in forces.tolist()
     ]
     starts = setting.starts(subject, LIMIT_PHASES)
-    result = fly(subject, setting.physics(), starts, trials, setting.watch, setting.lanes)
+    result = fly(subject, setting.physics(subject), starts, trials, setting.watch, setting.lanes)
     return map_findings(~result.fell.reshape(len(MAP_DIRECTIONS_DEG), len(LIMIT_PHASES), len(forces)), forces)
 
 
@@ -180,12 +181,12 @@ def terrain(subject: Subject, setting: Setting) -> Findings:
     levels = round(HIGHEST_TERRAIN_M / TERRAIN_STEP_M)
     lasting = _Lasting("terrain_h_m", "m", TERRAIN_STEP_M, levels, lambda level: {"terrain": TERRAIN_STEP_M * level})
     starts = setting.starts(subject, LIMIT_PHASES)
-    return Findings(_limits(lasting, subject, setting.physics("terrain"), starts, setting))
+    return Findings(_limits(lasting, subject, setting.physics(subject, "terrain"), starts, setting))
 
 
 def delay(subject: Subject, setting: Setting) -> Findings:
     """Walking with senses 5 and 10 ms late, and the longest delay, at most 20 ms, survived from all of ten phases."""
-    physics = setting.physics(longest_delay_s=LONGEST_DELAY_S)
+    physics = setting.physics(subject, longest_delay_s=LONGEST_DELAY_S)
     starts = setting.starts(subject, WALK_PHASES, LONGEST_DELAY_S)
     step_ms = 1000 * physics.model.opt.timestep
     figures = []

@@ -17,11 +17,17 @@ from rich.console import Console
 
 from cassie_mjx import checkpoint, cli, devices, diagnosis, hydra_cli, reference, run_directory
 from cassie_mjx.config import PPO_PRESETS, speed_factors
+from cassie_mjx.envs.walk import WALK_PRESETS
 from cassie_mjx.export import save_policy
 from cassie_mjx.metrics import JsonLines, TensorBoard, Terminal
+from cassie_mjx.model import ModelConfig, load
+from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.ppo import networks
 from cassie_mjx.returns import referee, walk_returns
-from cassie_mjx.training import IterationMetrics, RunState, TrainConfig, Trainer, resolve
+from cassie_mjx.training import IterationMetrics, RunState, TrainConfig, Trainer, initial_policy, resolve
+
+PRESETS = {"walk": ("undisturbed", WALK_PRESETS), "ppo": ("parallel", PPO_PRESETS)}
+"""Presets that a command line can choose from, and which is the default."""
 
 
 @dataclass
@@ -60,18 +66,21 @@ class Session:
         self.folder = Path(str(config.run_dir))
         self.factor, speeds = speed_factors(config.speed)
         motion = reference.stretch(reference.resolve(config.reference), self.factor)
+        begun = checkpoint.latest(self.folder / "checkpoints") is not None
+        policy = None if begun else initial_policy(config)
         self.provenance = cli.provenance()
         restored = run_directory.claim(self.folder, config, self.provenance)
         self.motion = restored.motion if restored else motion
         self.trainer = Trainer(config, self.motion)
-        self.run, self.counters = self.trainer.start(), Counters()
+        self.run, self.counters = self.trainer.start(policy), Counters()
         if restored:
             self.run = checkpoint.fill(self.run, restored.arrays)
             self.counters = Counters(**restored.record["counters"])
         self.saved = self.done if restored else None
         self.terminal = Terminal(console, config.ppo.iterations, self.done)
         self.sinks = self._sinks() if devices.is_first() else ()
-        self.referee, self.act = referee(self.motion, speeds=speeds), jax.jit(networks.mode)
+        judge = NativePhysics(load(ModelConfig()), damping=config.walk.damping)
+        self.referee, self.act = referee(self.motion, judge, speeds), jax.jit(networks.mode)
         self.lap = Lap()
         self.diagnosed = bool(max(devices.exchange((self.folder / "nan").exists())))
 
@@ -89,7 +98,7 @@ class Session:
         """Train until the last iteration or a signal, and say what came of it."""
         with Interruption() as interruption, self.terminal:
             self.terminal.say(f"{'Resuming' if self.done else 'Training'} in {self.folder}: {self._plan()}")
-            if self.saved is None:
+            if self.run.learner.policy.normalizer.samples == 0:
                 began = time.perf_counter()
                 self.run = jax.block_until_ready(self.trainer.gather_statistics(self.run))
                 self._count(time.perf_counter() - began)
@@ -128,7 +137,7 @@ class Session:
         self.diagnosed = True
         found = self.trainer.replay(before)
         if found and devices.is_first():
-            diagnosis.dump(self.folder / "nan", self.trainer.env.physics.model, found)
+            diagnosis.dump(self.folder / "nan", self.trainer.env.physics, found)
         kept = (
             f"the model and the state before it are in {self.folder / 'nan'}"
             if found
@@ -154,11 +163,12 @@ class Session:
             sink.write(values)
         origin = self.provenance | {"seed": self.config.seed, "samples": self.samples, **returns}
         names = ["last"]
-        if returns["return_weighted"] > self.counters.best_return:
+        # No undisturbed return tells which policy is the most robust: under disturbances, it is the last.
+        if returns["return_weighted"] > self.counters.best_return or self.config.walk.disturbance.active:
             self.counters.best_return, self.counters.return_plain = returns["return_weighted"], returns["return_plain"]
             names.append("best")
         for name in names:
-            save_policy(self.folder / f"{name}.npz", policy, self.motion, self.factor, origin)
+            save_policy(self.folder / f"{name}.npz", policy, self.motion, self.factor, self.config.walk.damping, origin)
 
     def _values(self, metrics: IterationMetrics, returns: dict[str, float], eval_s: float) -> dict[str, float]:
         """One line of metrics; counts, rates and shares of the time are those since the last one."""
@@ -236,4 +246,4 @@ def main(config: TrainConfig) -> None:
 
 
 if __name__ == "__main__":
-    hydra_cli.run(main, TrainConfig, "train", {"ppo": ("parallel", PPO_PRESETS)})
+    hydra_cli.run(main, TrainConfig, "train", PRESETS)

@@ -8,16 +8,17 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from cassie_mjx import devices, diagnosis, robot
+from cassie_mjx import devices, diagnosis, export, robot
 from cassie_mjx.config import PPOConfig, speed_factors
 from cassie_mjx.envs import observation
 from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.export import NumpyPolicy
 from cassie_mjx.metrics import Stopwatch
 from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx, steps_per_control
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.ppo import learner, rollout
-from cassie_mjx.ppo.types import LearnerState, UpdateMetrics
+from cassie_mjx.ppo.types import LearnerState, Policy, UpdateMetrics
 from cassie_mjx.reference import ReferenceMotion
 
 # Rates that training is stable and fast at, Hz; every return is measured at 2 kHz.
@@ -38,6 +39,9 @@ class TrainConfig:
     """What all random numbers of the run come from."""
     reference: str = "walk"
     """Reference motion: a name that we ship, or a file."""
+    init: str | None = None
+    """Policy to start from, with its input statistics: one that we ship, a .npz file, or a run's directory (its best);
+    null for none."""
     walk: WalkConfig = field(default_factory=WalkConfig)
     """The task."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
@@ -101,6 +105,25 @@ def resolve(config: TrainConfig) -> TrainConfig:
     )
 
 
+def initial_policy(config: TrainConfig) -> Policy | None:
+    """The policy that `config.init` names, if it names one.
+
+    Raises:
+      ValueError: there is none, its file is damaged, or its layers or inputs are not those of this run.
+    """
+    if config.init is None:
+        return None
+    path = export.find(config.init)
+    if path is None:
+        known = ", ".join(export.shipped_policies())
+        raise ValueError(f"init={config.init} is none of {known}, nor a policy's .npz file, nor a run's directory.")
+    saved = NumpyPolicy.load(path)
+    widths = tuple(len(bias) for _, bias in saved.weights[:-1])
+    if widths != config.ppo.hidden_sizes:
+        raise ValueError(f"init={config.init} has hidden layers of {list(widths)}; set ppo.hidden_sizes to that.")
+    return export.learner_policy(saved)
+
+
 class Trainer:
     """The compiled or timed functions that a resolved configuration trains with."""
 
@@ -111,9 +134,11 @@ class Trainer:
         self._places: Any = None
         update = partial(learner.update, config.ppo)
         model_hz = config.physics_hz or TRAINING_HZ[config.physics]
+        disturbance, damping = config.walk.disturbance, config.walk.damping
+        max_delay = disturbance.delay_steps(model_hz)
         _, speeds = speed_factors(config.speed)
         if config.physics == "mjx":
-            physics = MjxPhysics(load_for_mjx(replace(MJX_TRAINING, physics_hz=model_hz)))
+            physics = MjxPhysics(load_for_mjx(replace(MJX_TRAINING, physics_hz=model_hz)), max_delay, damping)
             self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots, speeds)
             self.collect = partial(rollout.collect, self.env.step, config.ppo)
             if jax.device_count() > 1:
@@ -123,7 +148,8 @@ class Trainer:
             # One compiled call an iteration. Left to itself, XLA moves empty arrays, and the next call compiles again.
             self.iterate = jax.jit(partial(iterate, self.collect, update), out_shardings=(self._places, None))
         else:
-            physics = _TimedPhysics(NativePhysics(load(ModelConfig(physics_hz=model_hz))), self.watch)
+            model = load(ModelConfig(physics_hz=model_hz, scene="terrain" if disturbance.terrain_m else "flat"))
+            physics = _TimedPhysics(NativePhysics(model, max_delay, damping=damping), self.watch)
             self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots, speeds)
             self.collect = partial(rollout.collect_on_host, self.env.step, config.ppo)
             self.iterate = partial(iterate, self.collect, self.watch.timed("learner", update))
@@ -133,10 +159,15 @@ class Trainer:
         """Physics steps of all robots in one iteration."""
         return self.config.ppo.num_samples * steps_per_control(round(1 / self.env.physics.model.opt.timestep))
 
-    def start(self) -> RunState:
-        """An untrained learner that knows no input statistics yet, and robots at the start of an episode."""
+    def start(self, policy: Policy | None = None) -> RunState:
+        """An untrained learner, or one with this policy, and robots at the start of an episode.
+
+        Without a policy the learner knows no input statistics yet; see `gather_statistics`.
+        """
         init_key, reset_key, _, run_key = self._keys()
         state = learner.init(init_key, self.config.ppo, observation.SIZE, robot.NU)
+        if policy is not None:
+            state = state._replace(policy=policy)
         env_state = self.env.reset(reset_key)
         if self.config.physics == "mjx":
             env_state = jax.tree.map(jnp.asarray, env_state)
@@ -186,6 +217,6 @@ class _TimedPhysics:
     """An engine whose time in `advance` is counted under "physics"."""
 
     def __init__(self, physics: NativePhysics, watch: Stopwatch) -> None:
-        self.model, self.max_delay = physics.model, physics.max_delay
+        self.model, self.max_delay, self.damping = physics.model, physics.max_delay, physics.damping
         self.init, self.bodies = physics.init, physics.bodies
         self.advance = watch.timed("physics", physics.advance)

@@ -9,13 +9,12 @@ import jax
 import numpy as np
 
 from cassie_mjx import robot
+from cassie_mjx.envs.disturbance import CREST_X_M
 from cassie_mjx.model import CONTROL_PERIOD_S
 from cassie_mjx.physics.types import Array, Disturbance, Physics, PhysicsState, delayed, namespace
 
 SPEED_WINDOW_S = 5.0
-PUSH_S, AFTER_PUSH_S = 0.2, 4.0
-# Terrain begins on a crest, which is level: anywhere else one foot would start inside the slope.
-CREST_X_M = np.pi / 2
+AFTER_PUSH_S = 4.0
 
 Memory: TypeAlias = Any
 """What a subject carries from act to act: a pytree whose leaves have the robots' axis B first."""
@@ -44,6 +43,8 @@ class Subject(Protocol):
     name: str
     period_s: float
     """Time between two acts, s: 0.032 or a whole fraction of it."""
+    damping: float
+    """Factor on the D gains of the PD law that holds its targets."""
 
     @property
     def provenance(self) -> Mapping[str, Any]:

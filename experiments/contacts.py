@@ -14,11 +14,12 @@ from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.controller import CONTROLLERS
+from cassie_mjx.envs.disturbance import PUSH_S
 from cassie_mjx.model import CONTROL_PERIOD_S, WALKING_PAIRS, ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.subjects import ControllerSubject, walked
 from cassie_mjx.suites import DIRECTIONS, LIMIT_PHASES
-from cassie_mjx.trials import PUSH_S, Trial, disturbances, fallen, placed
+from cassie_mjx.trials import Trial, disturbances, fallen, placed
 
 FAR_M = 0.5
 

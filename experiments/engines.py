@@ -61,7 +61,8 @@ def main(config: EnginesConfig) -> None:
     for rate in config.rates:
         for engine, physics in engines(rate).items():
             for run, policy in policies.items():
-                env = WalkEnv(physics, PolicySubject(run, policy).motion, task, STARTS)
+                subject = PolicySubject(run, policy)
+                env = WalkEnv(physics, subject.motion, replace(task, damping=subject.damping), STARTS)
                 trained = held[run]["config"]
                 row = {
                     "policy": run,

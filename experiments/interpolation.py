@@ -87,7 +87,7 @@ class Ride(NamedTuple):
 
 def ride(blend: BlendSubject, starts: int = STARTS) -> Ride:
     """Blend up and down once, from `starts` phases of the stride."""
-    physics = NativePhysics(load(ModelConfig()))
+    physics = NativePhysics(load(ModelConfig()), damping=blend.damping)
     seconds = 2 * ((len(blend.policies) - 1) / interpolate.RAMP_PER_S + interpolate.HOLD_S)
     fell, x, commanded_x = np.zeros(starts, bool), [], [0.0]
     walk = walked(blend, physics, blend.start(physics, np.arange(starts) / starts))

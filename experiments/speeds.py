@@ -60,8 +60,8 @@ def profile(seed: int) -> np.ndarray:
 
 def follow(policy: PolicySubject, factors: np.ndarray, starts: int = STARTS) -> Ride:
     """Walk from `starts` phases of the stride, told a factor [T] on the motion's speed at every control step."""
-    task = WalkConfig(early_end_reward=None, episode_steps=len(factors) + 1)
-    env = WalkEnv(NativePhysics(load(ModelConfig())), policy.motion, task, starts)
+    task = WalkConfig(early_end_reward=None, episode_steps=len(factors) + 1, damping=policy.damping)
+    env = WalkEnv(NativePhysics(load(ModelConfig()), damping=policy.damping), policy.motion, task, starts)
     phase = np.arange(starts) * env.samples // starts
     state = env.reset_at(phase, Disturbance.none(starts), np.full(starts, factors[0]))
     fell, x, commanded_x = np.zeros(starts, bool), [state.physics.qpos[:, 0]], [0.0]

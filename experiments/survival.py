@@ -42,13 +42,13 @@ def terrain(subject: Subject, setting: Setting) -> list[dict[str, Any]]:
     levels = np.arange(0, HIGHEST_TERRAIN_M + TERRAIN_STEP_M / 2, TERRAIN_STEP_M).round(9).tolist()
     trials = [Trial(start, WALK_S, terrain=h) for h in levels for start in range(len(LIMIT_PHASES))]
     starts = setting.starts(subject, LIMIT_PHASES)
-    result = fly(subject, setting.physics("terrain"), starts, trials, setting.watch, setting.lanes)
+    result = fly(subject, setting.physics(subject, "terrain"), starts, trials, setting.watch, setting.lanes)
     return rows(subject.name, "terrain_survived", "m", levels, ~result.fell)
 
 
 def delay(subject: Subject, setting: Setting) -> list[dict[str, Any]]:
     """The share of 10 starts that walk 10 s sensing what was up to 20 ms ago."""
-    physics = setting.physics(longest_delay_s=LONGEST_DELAY_S)
+    physics = setting.physics(subject, longest_delay_s=LONGEST_DELAY_S)
     step_ms = 1000 * physics.model.opt.timestep
     levels = np.arange(0, 1000 * LONGEST_DELAY_S + DELAY_STEP_MS / 2, DELAY_STEP_MS).tolist()
     late = [round(level / step_ms) for level in levels]

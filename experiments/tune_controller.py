@@ -19,12 +19,13 @@ from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.controller import CONTROLLERS, ControllerConfig
+from cassie_mjx.envs.disturbance import PUSH_S
 from cassie_mjx.model import ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.subjects import ControllerSubject, side_by_side, walked
 from cassie_mjx.suites import DIRECTIONS
 from cassie_mjx.sweeps import fly
-from cassie_mjx.trials import PUSH_S, Subject, Trial, Walker, fallen
+from cassie_mjx.trials import Subject, Trial, Walker, fallen
 
 PHYSICS_HZ = 1000
 WARM_UP_STRIDES = 8

@@ -68,7 +68,7 @@ def subsets() -> list[Subset]:
 def survived(subject: Subject, setting: Setting, subset: Subset) -> np.ndarray:
     """Which of the cells [group, level] are survived."""
     starts = setting.starts(subject, LIMIT_PHASES, subset.longest_delay_s)
-    physics = setting.physics(subset.scene, subset.longest_delay_s)
+    physics = setting.physics(subject, subset.scene, subset.longest_delay_s)
     trials = [trial for group in subset.trials for trial in group]
     result = fly(subject, physics, starts, trials, setting.watch, setting.lanes)
     return ~result.fell.reshape(len(subset.trials), -1)

@@ -22,7 +22,7 @@ class _Points:
     `falls(start, velocity, t, disturbance)` says which are down: true, false or NaN.
     """
 
-    max_delay = 0
+    max_delay, damping = 0, 1.0
 
     def __init__(self, hertz=2000, pull=0.0, falls=never):
         self.model = SimpleNamespace(opt=SimpleNamespace(timestep=1 / hertz))
@@ -59,7 +59,7 @@ def compiled_points(**how) -> Any:
 class Still:
     """A subject that asks for zero angles; it remembers how often it acted."""
 
-    name, period_s, provenance = "still", 0.032, {}
+    name, period_s, damping, provenance = "still", 0.032, 1.0, {}
 
     def start(self, physics, phases):
         robots = len(phases)

@@ -10,13 +10,14 @@ import pytest
 
 from cassie_mjx import controller, robot
 from cassie_mjx.controller import COMPLIANT, CONTROLLERS, STIFF, ControllerState
+from cassie_mjx.envs.disturbance import PUSH_S
 from cassie_mjx.kinematics import inverse_kinematics, level_foot
 from cassie_mjx.model import ModelConfig, close_loops, load
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.subjects import ControllerSubject, walked
 from cassie_mjx.suites import DIRECTIONS, LIMIT_PHASES, WALK_S
 from cassie_mjx.sweeps import fly
-from cassie_mjx.trials import AFTER_PUSH_S, PUSH_S, Trial, fallen
+from cassie_mjx.trials import AFTER_PUSH_S, Trial, fallen
 
 jitted_step = jax.jit(controller.step)
 STRIDE_S = 0.704

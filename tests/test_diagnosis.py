@@ -58,7 +58,7 @@ def test_what_diverged_diverges_in_plain_mujoco(native, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # where MuJoCo writes its warnings
     found = replayed(native, robot_1_turns_at=1e9) or pytest.fail("no divergence")
     assert found["qvel"][3] > 1e8
-    diagnosis.dump(tmp_path / "nan", native.model, found)
+    diagnosis.dump(tmp_path / "nan", native, found)
     assert not np.isfinite(stepped(tmp_path / "nan").qpos).all()
 
 
@@ -72,7 +72,7 @@ def test_the_step_is_the_engines(native, tmp_path, monkeypatch):
 
     monkeypatch.setattr(NativePhysics, "advance", poisoned)
     found = replayed(native) or pytest.fail("no divergence")
-    diagnosis.dump(tmp_path / "nan", native.model, found)
+    diagnosis.dump(tmp_path / "nan", native, found)
     data = stepped(tmp_path / "nan")
     np.testing.assert_allclose(data.qpos, results[2].qpos[0], rtol=0, atol=1e-12)
     np.testing.assert_allclose(data.qvel, results[2].qvel[0], rtol=0, atol=1e-9)
@@ -87,5 +87,5 @@ def test_on_mjx_the_same(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     physics = MjxPhysics(load_for_mjx(replace(MJX_TRAINING, physics_hz=500)))
     found = replayed(physics, robot_1_turns_at=1e9) or pytest.fail("no divergence")
-    diagnosis.dump(tmp_path / "nan", physics.model, found)
+    diagnosis.dump(tmp_path / "nan", physics, found)
     assert not np.isfinite(stepped(tmp_path / "nan").qpos).all()

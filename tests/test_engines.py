@@ -20,7 +20,7 @@ def test_rows_are_the_returns_on_each_engine_at_each_rate(tmp_path, monkeypatch)
     run.mkdir()
     motion = reference.resolve("walk")
     policy = learner.init(jax.random.key(0), PPOConfig(), observation.SIZE, robot.NU).policy
-    save_policy(run / "best.npz", policy, motion, 1.0, {"samples": 7})
+    save_policy(run / "best.npz", policy, motion, 1.0, 1.0, {"samples": 7})
     (run / "config.json").write_text(json.dumps({"config": {"physics": "mjx", "physics_hz": 500}}))
 
     natives = engines.engines

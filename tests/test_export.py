@@ -37,7 +37,7 @@ def policy(seen):
 def path(policy, tmp_path):
     path = tmp_path / "policy.npz"
     motion = reference.stretch(reference.resolve("walk"), 2.0)
-    save_policy(path, policy, motion, 2.0, {"return_weighted": 250.0, "commit": "abc"})
+    save_policy(path, policy, motion, 2.0, 0.5, {"return_weighted": 250.0, "commit": "abc"})
     return path
 
 
@@ -64,6 +64,7 @@ def test_the_file_explains_itself(path):
     assert saved.reference_stride_length == pytest.approx(2 * float(motion.stride_length))
     assert np.array_equal(saved.reference_qpos[:, 3:], motion.qpos[:, 3:])
     assert saved.p_gain.tolist() == [100, 100, 88, 96, 50] * 2
+    assert saved.d_gain.tolist() == [5, 5, 4, 4.8, 2.5] * 2
     assert saved.observation[0] == "0:2 robot pelvis y, z (world) [m]"
     assert saved.provenance["commit"] == "abc"
 

@@ -41,7 +41,7 @@ def policy_files(motions, tmp_path_factory):
         state = learner.init(jax.random.key(seed), PPO_PRESETS["parallel"], observation.SIZE, robot.NU)
         actor = jax.tree.map(lambda leaf: 3 * leaf, state.policy.actor)
         files.append(folder / f"{seed + 1}x.npz")
-        save_policy(files[-1], state.policy._replace(actor=actor), motion, seed + 1.0, {})
+        save_policy(files[-1], state.policy._replace(actor=actor), motion, seed + 1.0, 1.0, {})
     return files
 
 
@@ -186,8 +186,12 @@ def test_a_policy_is_told_another_speed(policy_files):
     assert subject.name.endswith("2x.npz speed=3x")
 
 
-def test_bad_blends_get_one_sentence(policy_files, motions):
+def test_bad_blends_get_one_sentence(policy_files, motions, tmp_path):
     first, second = map(str, policy_files[:2])
+    policy = subjects.learner_policy(NumpyPolicy.load(second))
+    save_policy(tmp_path / "soft.npz", policy, motions[1], 2.0, 0.5, {})
+    with pytest.raises(ValueError, match="so that no one PD law holds both"):
+        subjects.resolve(f"blend:{first},{tmp_path}/soft.npz", schedule="ramp")
     with pytest.raises(ValueError, match="two or more policies, not 1"):
         subjects.resolve(f"blend:{first}", schedule="ramp")
     with pytest.raises(ValueError, match="schedule=sine is not known; choose one of ramp, adaptive"):
@@ -213,7 +217,7 @@ def test_bad_blends_get_one_sentence(policy_files, motions):
 
 def test_a_reference_without_speed_cannot_be_given_one(policy_files, walk, tmp_path):
     saved = NumpyPolicy.load(policy_files[0])
-    save_policy(tmp_path / "0x.npz", subjects.learner_policy(saved), stretch(walk, 0), 0.0, {})
+    save_policy(tmp_path / "0x.npz", subjects.learner_policy(saved), stretch(walk, 0), 0.0, 1.0, {})
     assert subjects.resolve(str(tmp_path / "0x.npz"), speed="0x").motion.stride_length == 0
     with pytest.raises(ValueError, match="a reference at 0x has no speed to be stretched"):
         subjects.resolve(str(tmp_path / "0x.npz"), speed="1x")

@@ -19,17 +19,18 @@ from experiments.agreement import loop_consistent
 
 CONVERGED = ModelConfig(physics_hz=1000, contacts="walking", iterations=50, ls_iterations=50)
 BATCH = 8
+DAMPING = 0.5
 
 
 @pytest.fixture(scope="module")
 def physics():
-    return MjxPhysics(load_for_mjx(MJX_TRAINING), max_delay=8)
+    return MjxPhysics(load_for_mjx(MJX_TRAINING), max_delay=8, damping=DAMPING)
 
 
 @pytest.fixture(scope="module")
 def referee():
     """MuJoCo C at the same rate and with the same contacts, converged."""
-    return NativePhysics(load(replace(CONVERGED, iterations=100)), max_delay=8)
+    return NativePhysics(load(replace(CONVERGED, iterations=100)), max_delay=8, damping=DAMPING)
 
 
 @pytest.fixture(scope="module")

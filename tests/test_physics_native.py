@@ -66,8 +66,9 @@ def test_pieces_equal_the_whole_and_inputs_are_kept(model, standing_qpos):
     np.testing.assert_array_equal(state.qpos, before)
 
 
-def test_both_paths_give_the_same_trajectory(model, standing_qpos):
-    held, stepwise = NativePhysics(model), NativePhysics(model, max_delay=3)
+@pytest.mark.parametrize("damping", [1.0, 0.3])
+def test_both_paths_give_the_same_trajectory(model, standing_qpos, damping):
+    held, stepwise = NativePhysics(model, damping=damping), NativePhysics(model, max_delay=3, damping=damping)
     a, targets = start(held, standing_qpos, 5)
     b, _ = start(stepwise, standing_qpos, 5)
     disturbance = replace(

@@ -59,6 +59,13 @@ def test_pd_torque_by_hand():
     np.testing.assert_allclose(robot.pd_torque(jnp.array(target), jnp.array(q), jnp.array(qdot)), expected, rtol=1e-6)
 
 
+def test_pd_torque_with_less_damping():
+    target, qdot = np.full(10, 0.1), np.tile([0.0, 0.0, 0.0, 1.0, -2.0], 2)
+    # 96*0.1 - 0.25*9.6*1; 50*0.1 + 0.25*5*2
+    torque = robot.pd_torque(target, np.zeros(10), qdot, damping=0.25)
+    np.testing.assert_allclose(torque, [10, 10, 8.8, 7.2, 7.5] * 2)
+
+
 def test_torque_as_target_undoes_the_pd_law():
     rng = np.random.default_rng(2)
     torque = rng.uniform(-0.9, 0.9, 10) * robot.TORQUE_LIMIT

@@ -46,8 +46,9 @@ def test_a_policy_walks_as_its_targets_say(tmp_path, model):
     motion = reference.resolve("walk")
     state = learner.init(jax.random.key(0), PPO_PRESETS["parallel"], observation.SIZE, robot.NU)
     zero = state.policy._replace(actor=jax.tree.map(jnp.zeros_like, state.policy.actor))
-    save_policy(tmp_path / "zero.npz", zero, motion, 1.0, {})
+    save_policy(tmp_path / "zero.npz", zero, motion, 1.0, 0.5, {})
     subject = subjects.resolve(str(tmp_path / "zero.npz"))
+    assert subject.damping == 0.5
     physics = NativePhysics(model)
     walker = Walker(physics.init(np.asarray(motion.qpos[[3, 21]]), np.asarray(motion.qvel[[3, 21]])), np.array([3, 21]))
     target, memory = subject.act(physics, walker.physics, walker.memory)
@@ -68,6 +69,16 @@ def test_a_damaged_policy_gets_one_sentence(tmp_path):
     path.write_bytes(export.shipped_policies()["1x"].read_bytes()[:-1000])
     with pytest.raises(ValueError, match="policy.npz is damaged"):
         subjects.resolve(str(path))
+
+
+def test_a_policy_of_other_gains_gets_one_sentence(tmp_path):
+    with np.load(export.shipped_policies()["1x"]) as archive:
+        content = dict(archive)
+    for name in ("p_gain", "d_gain"):
+        changed = content[name] * np.where(np.arange(10) == 3, 0.5, 1.0)
+        np.savez(tmp_path / "policy.npz", **(content | {name: changed}))
+        with pytest.raises(ValueError, match="PD gains other than the published ones with all D scaled alike"):
+            subjects.resolve(str(tmp_path / "policy.npz"))
 
 
 def test_a_policy_of_another_robot_gets_one_sentence(tmp_path):

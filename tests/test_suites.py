@@ -7,6 +7,7 @@ import pytest
 from points import Still, never, points
 
 from cassie_mjx import suites, trials
+from cassie_mjx.envs.disturbance import PUSH_S
 from cassie_mjx.subjects import resolve
 from cassie_mjx.suites import Setting
 from cassie_mjx.sweeps import fly
@@ -18,7 +19,7 @@ class Settled(Setting):
 
     falls = staticmethod(never)
 
-    def physics(self, scene="flat", longest_delay_s=0.0):
+    def physics(self, subject, scene="flat", longest_delay_s=0.0):
         physics = points(falls=self.falls)
         physics.max_delay = round(2000 * longest_delay_s)
         return physics
@@ -95,7 +96,7 @@ def test_the_map_has_every_cell(monkeypatch):
     monkeypatch.setattr(suites, "fly", judged)
     findings = suites.push_map(Still(), Settled())
     assert len(flown) == 16 * 8 * 40
-    assert {trial.seconds for trial in flown} == {trials.PUSH_S + trials.AFTER_PUSH_S}
+    assert {trial.seconds for trial in flown} == {PUSH_S + trials.AFTER_PUSH_S}
     cells, found = findings.cells, values(findings)
     assert cells is not None
     assert (len(cells["directions_deg"]), len(cells["phases"]), len(cells["forces_N"])) == (16, 8, 40)
@@ -147,7 +148,7 @@ def test_mjx_gives_the_verdicts_of_mujoco_c():
     for engine in suites.ENGINES:
         setting = Setting(engine)
         starts = setting.starts(subject, np.array([0.0, 0.5]), suites.LONGEST_DELAY_S)
-        results[engine] = fly(subject, setting.physics(longest_delay_s=suites.LONGEST_DELAY_S), starts, cells)
+        results[engine] = fly(subject, setting.physics(subject, longest_delay_s=suites.LONGEST_DELAY_S), starts, cells)
     native, mjx = results["native"], results["mjx"]
     np.testing.assert_array_equal(native.fell, [False, False, True, False, True])
     np.testing.assert_array_equal(mjx.fell, native.fell)

@@ -174,7 +174,7 @@ def test_only_work_done_counts_as_power():
     # P target - D qdot: 100 x 0.3 - 10 x 2 = 10 N·m at 2 rad/s; 100 x 0 + 10 x 3 = 30 N·m against -3 rad/s.
     target = np.array([[0.3] + [0.0] * 9])
     state = PhysicsState(qpos, qvel, qvel, np.zeros(1, np.int32), np.zeros((1, 0, 67)))
-    np.testing.assert_allclose(motor_effort(state, target, Disturbance.none(1)), [[(10 + 30) / 10, 20.0]])
+    np.testing.assert_allclose(motor_effort(state, target, Disturbance.none(1), 1.0), [[(10 + 30) / 10, 20.0]])
 
 
 @ENGINES

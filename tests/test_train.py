@@ -15,11 +15,12 @@ from rich.console import Console
 
 from cassie_mjx import checkpoint, hydra_cli
 from cassie_mjx.config import PPO_PRESETS, PPOConfig, speed_factor, speed_factors
+from cassie_mjx.envs.walk import WALK_PRESETS
 from cassie_mjx.export import NumpyPolicy
 from cassie_mjx.metrics import Terminal
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.reference import resolve as resolve_motion
-from cassie_mjx.train import Session, TrainConfig
+from cassie_mjx.train import PRESETS, Session, TrainConfig
 from cassie_mjx.training import Trainer, resolve
 
 TINY = PPOConfig(
@@ -117,10 +118,10 @@ def test_a_run_that_died_between_checkpoints_goes_on_from_the_last(unbroken, tmp
 def die_at_the_second_evaluation():
     from cassie_mjx.train import save_policy
 
-    def save(path, policy, motion, speed, provenance):
+    def save(path, policy, motion, speed, damping, provenance):
         if provenance["samples"] == 4 * TINY.num_samples:
             raise RuntimeError
-        save_policy(path, policy, motion, speed, provenance)
+        save_policy(path, policy, motion, speed, damping, provenance)
 
     return save
 
@@ -270,7 +271,7 @@ def test_an_iteration_on_mjx_is_one_compiled_call(tmp_path):
 def command(monkeypatch, main, *arguments):
     monkeypatch.setattr(sys, "argv", ["train", *arguments])
     monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
-    hydra_cli.run(main, TrainConfig, "train", {"ppo": ("parallel", PPO_PRESETS)})
+    hydra_cli.run(main, TrainConfig, "train", PRESETS)
 
 
 def configs(monkeypatch, tmp_path, *arguments):
@@ -289,6 +290,15 @@ def test_a_command_line_is_the_configuration(monkeypatch, tmp_path):
     assert not list(tmp_path.iterdir()), "Hydra leaves nothing behind"
 
 
+def test_robustness_is_a_preset_of_the_task(monkeypatch, tmp_path):
+    (seen,) = configs(monkeypatch, tmp_path, "walk=robust", "walk.disturbance.push_n=180", "init=1x")
+    robust = WALK_PRESETS["robust"]
+    assert seen.walk == replace(robust, disturbance=replace(robust.disturbance, push_n=180.0))
+    assert robust.disturbance.active
+    assert not TrainConfig().walk.disturbance.active
+    assert seen.init == "1x"
+
+
 def test_a_sweep_runs_every_combination(monkeypatch, tmp_path):
     seen = configs(monkeypatch, tmp_path, "-m", "seed=0,1", "speed=1x,2x")
     assert [(each.seed, each.speed) for each in seen] == [(0, "1x"), (0, "2x"), (1, "1x"), (1, "2x")]
@@ -300,6 +310,8 @@ def test_a_sweep_runs_every_combination(monkeypatch, tmp_path):
         ("sped=2x", "'sped' is not a key; the keys are speed, physics, physics_hz, seed,"),
         ("ppo.clip=1", "'ppo.clip' is not a key; the keys are num_robots, num_steps,"),
         ("+song=1", "A key with + in front must exist as well"),
+        ("walk.disturbance.wind=1", "'walk.disturbance.wind' is not a key; the keys are push_n,"),
+        ("walk.disturbance.push_n=-1", "push_n=-1.0 must be a finite number of at least 0."),
         ("ppo=huge", "ppo=huge is not known; choose one of massive, paper, parallel."),
         ("hydra/launcher=slurm", "hydra/launcher=slurm is not known; choose one of basic."),
         ("seed=one", "seed: Value 'one' of type 'str' could not be converted to Integer."),

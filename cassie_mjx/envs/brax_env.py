@@ -52,13 +52,22 @@ class CassieEnv(PipelineEnv):
           motion: what to imitate.
           config: the task's parameters, `episode_steps` excepted; the default is `WalkConfig()`.
           model: rate, contacts and solver of the physics.
+
+        Raises:
+          ValueError: the task draws disturbances; Brax hands a step no key to draw them with.
         """
+        if config is not None and config.disturbance.active:
+            raise ValueError(
+                f"disturbance={config.disturbance} is not for CassieEnv, for Brax hands a step no random key; "
+                "train with cassie_mjx.train, or without disturbances."
+            )
         # Brax asks for a system of its own; it serves for rendering and sizes, not for stepping.
         scene = mujoco.MjModel.from_xml_path(str(xml_path("flat")))
         scene.opt.timestep = 1 / model.physics_hz
         super().__init__(mjcf.load_model(scene), backend="mjx", n_frames=steps_per_control(model.physics_hz))
         endless = replace(config or WalkConfig(), episode_steps=2**30)
-        self._walk = WalkEnv(MjxPhysics(load_for_mjx(model)), motion, endless, robots=1)
+        physics = MjxPhysics(load_for_mjx(model), damping=endless.damping)
+        self._walk = WalkEnv(physics, motion, endless, robots=1)
 
     def reset(self, rng: jax.Array) -> State:
         """A robot on the reference motion at a phase drawn with `rng`."""

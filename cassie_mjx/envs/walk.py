@@ -4,8 +4,8 @@ Xie et al. 2018: every 32 ms a policy sees robot and reference and adds a residu
 active joints; the sum is the PD target. The reward says how near the robot stays to the reference motion.
 """
 
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +13,10 @@ import numpy as np
 
 from cassie_mjx import robot
 from cassie_mjx.envs import observation, reward
+from cassie_mjx.envs.disturbance import CREST_X_M, DisturbanceConfig, draw, renew
 from cassie_mjx.envs.types import Clock, WalkState
 from cassie_mjx.model import steps_per_control
-from cassie_mjx.physics.types import Array, Disturbance, Physics, delayed, merge
+from cassie_mjx.physics.types import Array, Disturbance, Physics, PhysicsState, delayed, merge
 from cassie_mjx.reference import ReferenceMotion, sample, stretch_states
 
 
@@ -29,6 +30,10 @@ class WalkConfig:
     """A step's reward below which an episode ends, a device of training; null ends it by a fall alone."""
     episode_steps: int = 300
     """Control steps of a full episode; 300 are 9.6 s."""
+    damping: float = 1.0
+    """Factor on the published D gains of the PD law; delayed by 10 ms, the published ones shake the leg springs."""
+    disturbance: DisturbanceConfig = field(default_factory=DisturbanceConfig)
+    """What robots are put through besides walking."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for a value out of range."""
@@ -38,10 +43,24 @@ class WalkConfig:
             raise ValueError(f"early_end_reward={self.early_end_reward} must be from 0 to below 1, or null.")
         if self.episode_steps < 1:
             raise ValueError(f"episode_steps={self.episode_steps} must be at least 1.")
+        if not 0 <= self.damping <= 1:
+            raise ValueError(f"damping={self.damping} must be from 0 to 1.")
 
 
-# What the key of a step or reset is folded with for the speeds; as it is, it draws phases.
-_SPEED_KEY = 2
+WALK_PRESETS = {
+    "undisturbed": WalkConfig(),
+    "robust": WalkConfig(
+        early_end_reward=0.3,
+        damping=0.3,
+        disturbance=DisturbanceConfig(push_n=250, terrain_m=0.25, delay_s=0.01),
+    ),
+}
+"""The task's presets by name."""
+
+T = TypeVar("T")
+
+# What the key of a step or reset is folded with for disturbances and for speeds; as it is, it draws phases.
+_DISTURBANCE_KEY, _SPEED_KEY = 1, 2
 
 
 class _Judgement(NamedTuple):
@@ -49,6 +68,7 @@ class _Judgement(NamedTuple):
 
     fresh_qpos: jax.Array
     fresh_qvel: jax.Array
+    disturbance: Disturbance
     rest: dict[str, Any]
 
 
@@ -71,28 +91,47 @@ class WalkEnv:
           config: the task's parameters.
           robots: B, robots side by side.
           speeds: lowest and highest factor on the motion's speed; each episode has one between them.
+
+        Raises:
+          ValueError: the engine is made for shorter delays than the task draws, or for another damping than its own.
         """
         self.physics, self.config, self.robots, self.speeds = physics, config, robots, speeds
         self.motion = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), motion)
         self.samples = motion.qpos.shape[0]
-        self._substeps = steps_per_control(round(1 / physics.model.opt.timestep))
+        self._physics_hz = round(1 / physics.model.opt.timestep)
+        self._substeps = steps_per_control(self._physics_hz)
+        longest = config.disturbance.delay_steps(self._physics_hz)
+        if longest > physics.max_delay:
+            raise ValueError(
+                f"delay_s={config.disturbance.delay_s:g} is {longest} physics steps; "
+                f"this engine was made for 0 to {physics.max_delay}."
+            )
+        if config.damping != physics.damping:
+            raise ValueError(f"damping={config.damping:g} is not that of this engine, {physics.damping:g}.")
         self._target = jax.jit(self._pd_target)
         self._judge = jax.jit(self._judge_step)
         self._start = jax.jit(self._start_states)
 
     def reset(self, key: jax.Array) -> WalkState:
-        """Robots on the reference motion, each at a phase and a speed drawn at random, undisturbed."""
+        """Robots on the reference motion, each at a phase, at a speed and under a disturbance drawn at random."""
         phase, speed = self._draw(key, self.robots)
-        return self.reset_at(phase, Disturbance.none(self.robots), speed)
+        disturbance = Disturbance.none(self.robots)
+        if self.config.disturbance.active:
+            disturbance_key = jax.random.fold_in(key, _DISTURBANCE_KEY)
+            disturbance = draw(self.config.disturbance, disturbance_key, self.robots, self._physics_hz)
+        return self.reset_at(phase, disturbance, speed)
 
     def reset_at(self, phase: Array, disturbance: Disturbance, speed: Array | None = None) -> WalkState:
         """Robots on the reference motion at the samples `phase` [B] of the stride, under `disturbance`.
 
         `speed` [B] are factors on the motion's speed; if none are given, they go evenly from the lowest to the highest.
+        On terrain the pelvis starts above a crest.
         """
         speed = np.linspace(*self.speeds, len(phase)) if speed is None else speed
-        clock, qpos, qvel, seen = self._start(jnp.asarray(phase, jnp.int32), jnp.asarray(speed, jnp.float32))
+        phase, speed = jnp.asarray(phase, jnp.int32), jnp.asarray(speed, jnp.float32)
+        clock, qpos, qvel, seen = self._start(phase, speed, disturbance.terrain)
         physics = self.physics.init(qpos, qvel)
+        disturbance = _beside(physics, disturbance)
         zeros = jnp.zeros(len(phase))
         ended = jnp.zeros(len(phase), bool)
         metrics = {name: zeros for name in (*_METRICS, *reward.Terms._fields)}
@@ -101,25 +140,24 @@ class WalkEnv:
     def step(self, state: WalkState, action: Array, key: jax.Array) -> WalkState:
         """One control step of 32 ms; robots whose episode ends start anew at a phase and speed drawn with `key`.
 
+        A task without disturbances of its own leaves those that `reset_at` was given as they are.
+
         Args:
           state: before the step.
           action: residual on the reference angles of the active joints, [B, 10], rad.
-          key: for the phases and speeds of new episodes.
+          key: for the phases and speeds of new episodes, and for disturbances.
         """
-        target = self._target(state.clock, action)
-        on_host = isinstance(state.physics.qpos, np.ndarray)
-        if on_host:
-            target = np.asarray(target, float)
+        target = _beside(state.physics, self._target(state.clock, action))
         physics = self.physics.advance(state.physics, target, state.disturbance, self._substeps)
         sensed = delayed(physics, state.disturbance)
-        judgement = self._judge(state.clock, physics.qpos, physics.qvel, *sensed, state.disturbance.terrain, key)
+        judgement = self._judge(state.clock, state.disturbance, physics.qpos, physics.qvel, *sensed, key)
         ended = judgement.rest["terminated"] | judgement.rest["truncated"]
-        physics = merge(
-            np.asarray(ended) if on_host else ended,
-            self.physics.init(judgement.fresh_qpos, judgement.fresh_qvel),
-            physics,
+        fresh = self.physics.init(judgement.fresh_qpos, judgement.fresh_qvel)
+        return WalkState(
+            physics=merge(_beside(physics, ended), fresh, physics),
+            disturbance=_beside(physics, judgement.disturbance),
+            **judgement.rest,
         )
-        return WalkState(physics=physics, disturbance=state.disturbance, **judgement.rest)
 
     def _pd_target(self, clock: Clock, action: jax.Array) -> jax.Array:
         reference, _ = self._reference(clock, ahead=1)
@@ -139,20 +177,30 @@ class WalkEnv:
     def _observe(self, clock: Clock, qpos: jax.Array, qvel: jax.Array) -> jax.Array:
         return observation.build(qpos, qvel, *self._reference(clock, ahead=1))
 
-    def _start_states(self, phase: jax.Array, speed: jax.Array) -> tuple[Clock, jax.Array, jax.Array, jax.Array]:
+    def _start_states(
+        self, phase: jax.Array, speed: jax.Array, terrain: jax.Array
+    ) -> tuple[Clock, jax.Array, jax.Array, jax.Array]:
         zeros = jnp.zeros_like(phase)
         clock = Clock(phase, zeros, zeros, speed)
         qpos, qvel = self._reference(clock)
+        qpos = qpos.at[:, 0].add(self._origin(clock, terrain)).at[:, 2].add(terrain)
         return clock, qpos, qvel, self._observe(clock, qpos, qvel)
+
+    def _origin(self, clock: Clock, terrain: jax.Array) -> jax.Array:
+        """World x of the point where the reference motion's x is 0, [B], m: on terrain, episodes start on the crest."""
+        zeros = jnp.zeros_like(clock.step)
+        start = replace(clock, phase=clock.phase + self.samples * clock.stride - clock.step, stride=zeros)
+        first, _ = self._reference(start)
+        return (terrain > 0) * (CREST_X_M - first[:, 0])
 
     def _judge_step(
         self,
         before: Clock,
+        disturbance: Disturbance,
         qpos: jax.Array,
         qvel: jax.Array,
         sensed_qpos: jax.Array,
         sensed_qvel: jax.Array,
-        terrain: jax.Array,
         key: jax.Array,
     ) -> _Judgement:
         clock = self._tick(before)
@@ -162,21 +210,27 @@ class WalkEnv:
             nan, (reference, reference, reference_velocity), (qpos, sensed_qpos, sensed_qvel)
         )
 
-        terms = {name: reward.terms(scale, qpos, reference) for name, scale in reward.SCALES.items()}
+        # The reference walks on flat ground: its x counts from the start of the episode, its z from the ground below.
+        ground = disturbance.terrain * jnp.sin(qpos[:, 0])
+        walked = qpos.at[:, 0].add(-self._origin(clock, disturbance.terrain)).at[:, 2].add(-ground)
+        terms = {name: reward.terms(scale, walked, reference) for name, scale in reward.SCALES.items()}
         rewards = {name: jnp.where(nan, 0.0, reward.total(values)) for name, values in terms.items()}
         earned = rewards[self.config.reward]
-        height = qpos[:, 2] - terrain * jnp.sin(qpos[:, 0])
+        height = walked[:, 2]
         fallen = nan | (height < robot.FALL_LOW_M) | (height > robot.FALL_HIGH_M)
         low = jnp.zeros_like(nan) if self.config.early_end_reward is None else earned < self.config.early_end_reward
         terminated = fallen | low
         truncated = ~terminated & (clock.step >= self.config.episode_steps)
 
-        fresh_clock, fresh_qpos, fresh_qvel, fresh_seen = self._start_states(*self._draw(key, len(nan)))
         ended = terminated | truncated
+        disturbance = self._renew(disturbance, clock, ended, key)
+        fresh = self._start_states(*self._draw(key, len(nan)), disturbance.terrain)
+        fresh_clock, fresh_qpos, fresh_qvel, fresh_seen = fresh
         seen = self._observe(clock, sensed_qpos, sensed_qvel)
         return _Judgement(
             fresh_qpos,
             fresh_qvel,
+            disturbance,
             {
                 "clock": merge(ended, fresh_clock, clock),
                 "observation": merge(ended, fresh_seen, seen),
@@ -189,9 +243,21 @@ class WalkEnv:
             },
         )
 
+    def _renew(self, disturbance: Disturbance, clock: Clock, ended: jax.Array, key: jax.Array) -> Disturbance:
+        config = self.config.disturbance
+        if not config.active:
+            return disturbance
+        disturbance_key = jax.random.fold_in(key, _DISTURBANCE_KEY)
+        return renew(config, disturbance_key, disturbance, clock.step * self._substeps, ended, self._physics_hz)
+
     def _tick(self, clock: Clock) -> Clock:
         phase = clock.phase + 1
         return Clock(phase % self.samples, clock.stride + phase // self.samples, clock.step + 1, clock.speed)
+
+
+def _beside(physics: PhysicsState, tree: T) -> T:
+    """`tree` where the physics is: as NumPy arrays if the engine runs on the host."""
+    return jax.tree.map(np.asarray, tree) if isinstance(physics.qpos, np.ndarray) else tree
 
 
 _METRICS = (*reward.SCALES, "nan", "fallen")

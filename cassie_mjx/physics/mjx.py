@@ -30,18 +30,19 @@ from cassie_mjx.physics.types import (
 class MjxPhysics:
     """Steps robots with MJX; implements `Physics` on JAX arrays. Its methods can be traced: jit or scan over them."""
 
-    def __init__(self, model: mujoco.MjModel, max_delay: int = 0) -> None:
+    def __init__(self, model: mujoco.MjModel, max_delay: int = 0, damping: float = 1.0) -> None:
         """Put the model on the device.
 
         Args:
           model: from `cassie_mjx.model.load_for_mjx`. Flat floor and terrain are one model here: the floor under each
             leg and the pelvis is a plane that follows the tangent of z = h sin x.
           max_delay: longest delay that a disturbance will ask for, physics steps.
+          damping: factor on the D gains.
         """
         # By itself, MJX takes the first device of all, which may be another host's.
         self._device = jax.local_devices()[0]
         self.model, self._mjx = model, mjx.put_model(model, self._device)
-        self.max_delay = max_delay
+        self.max_delay, self.damping = max_delay, damping
         self._loops = _LoopBias(self._mjx)
         self._floors = _Floors(model)
         self._advance = jax.jit(self._scan, static_argnums=3)
@@ -73,7 +74,8 @@ class MjxPhysics:
 
         def substep(state: PhysicsState, _: None) -> tuple[PhysicsState, None]:
             qpos, qvel = delayed(state, disturbance)
-            torque = robot.pd_torque(target, qpos[:, robot.ACTIVE_QPOS], qvel[:, robot.ACTIVE_QVEL]).astype(dtype)
+            q, qdot = qpos[:, robot.ACTIVE_QPOS], qvel[:, robot.ACTIVE_QVEL]
+            torque = robot.pd_torque(target, q, qdot, self.damping).astype(dtype)
             pushed = (disturbance.push_start <= state.step) & (state.step < disturbance.push_stop)
             push = disturbance.push * pushed[:, None]
             moved = jax.vmap(self._step)(

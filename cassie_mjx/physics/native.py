@@ -31,17 +31,25 @@ class NativePhysics:
     at once.
     """
 
-    def __init__(self, model: mujoco.MjModel, max_delay: int = 0, threads: int = 0) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        max_delay: int = 0,
+        threads: int = 0,
+        damping: float = 1.0,
+    ) -> None:
         """Make the engine of one model.
 
         Args:
           model: from `cassie_mjx.model.load`; only a terrain scene answers to `Disturbance.terrain`.
           max_delay: longest delay that a disturbance will ask for, physics steps; 0 for the faster path.
           threads: size of the pool; 0 for all cores.
+          damping: factor on the D gains.
         """
         self.model = model
         self.max_delay = max_delay
-        self._driven = self.model if max_delay else servo_model(self.model)
+        self.damping = damping
+        self._driven = self.model if max_delay else servo_model(self.model, damping)
         self._threads = threads
         self._terrain = model.nhfield > 0
         self._models: dict[float, mujoco.MjModel] = {}
@@ -76,7 +84,7 @@ class NativePhysics:
         for _ in range(n_steps):
             qpos, qvel = delayed(state, disturbance)
             q, qdot = qpos[:, robot.ACTIVE_QPOS], qvel[:, robot.ACTIVE_QVEL]
-            pool.ctrl[:] = robot.pd_torque(target, q, qdot) / robot.GEAR
+            pool.ctrl[:] = robot.pd_torque(target, q, qdot, self.damping) / robot.GEAR
             pool.push[:] = _force(state.step, disturbance)
             pool.batch.step()
             state = pool.state(state.step + 1, state.history)

@@ -89,6 +89,8 @@ class Physics(Protocol):
 
     model: mujoco.MjModel
     max_delay: int
+    damping: float
+    """Factor on the D gains of the PD law."""
 
     def init(self, qpos: Array, qvel: Array) -> PhysicsState:
         """The state at physics step 0, with a history that has always been this state.
@@ -156,8 +158,8 @@ def check_start(qpos: Array, qvel: Array) -> None:
     for name, array in (("qpos", qpos), ("qvel", qvel)):
         bad = np.argwhere(~np.isfinite(np.asarray(array)))
         if len(bad):
-            robot, index = bad[0]
-            raise ValueError(f"{name}[{robot}, {index}] is {array[robot, index]}; a starting state must be finite.")
+            row, index = bad[0]
+            raise ValueError(f"{name}[{row}, {index}] is {array[row, index]}; a starting state must be finite.")
 
 
 def check_delay(disturbance: Disturbance, max_delay: int) -> None:

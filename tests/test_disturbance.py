@@ -1,0 +1,202 @@
+"""Disturbances as part of the task: their ranges, when they act, when they are drawn anew, on both engines."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cassie_mjx.envs import reward
+from cassie_mjx.envs.disturbance import DisturbanceConfig, draw, renew
+from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.model import MJX_TRAINING, load, load_for_mjx
+from cassie_mjx.physics.mjx import MjxPhysics
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.reference import resolve, sample
+
+ROBOTS, HZ, SUBSTEPS = 8, 1000, 32
+MODEL = replace(MJX_TRAINING, iterations=100)
+ALL = DisturbanceConfig(push_n=200, push_pause_s=1.0, terrain_m=0.24, delay_s=0.0045)
+NO_ACTION = np.zeros((ROBOTS, 10), np.float32)
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return resolve("walk")
+
+
+@pytest.fixture(scope="module")
+def hills():
+    return NativePhysics(load(replace(MODEL, scene="terrain")), max_delay=5)
+
+
+def make(physics, motion, disturbance, **config):
+    return WalkEnv(physics, motion, WalkConfig(disturbance=disturbance, **config), ROBOTS)
+
+
+def assert_same(these, those):
+    jax.tree.map(np.testing.assert_array_equal, these, those)
+
+
+def test_draws_are_uniform_over_their_ranges():
+    robots = 20_000
+    drawn = jax.tree.map(np.asarray, draw(ALL, jax.random.key(0), robots, HZ))
+    force = np.linalg.norm(drawn.push, axis=1)
+    np.testing.assert_allclose([force.min(), force.mean(), force.max()], [0, 100, 200], atol=1.5)
+    # The second moments of a horizontal vector of uniform direction: E F² / 2 = 200² / 6 each, uncorrelated.
+    np.testing.assert_allclose(drawn.push.T @ drawn.push / robots, np.diag([200**2 / 6] * 2 + [0]), atol=150)
+    np.testing.assert_allclose(drawn.push.mean(axis=0), 0, atol=3)
+    # 1 s is 31.25 control steps.
+    values, counts = np.unique(drawn.push_start, return_counts=True)
+    np.testing.assert_array_equal(values, np.arange(33) * SUBSTEPS)
+    np.testing.assert_allclose(counts / robots, 1 / 33, atol=0.006)
+    np.testing.assert_array_equal(drawn.push_stop - drawn.push_start, 200)
+    for array, expected in ((drawn.terrain, np.arange(9) * 0.03), (drawn.delay, np.arange(6))):
+        values, counts = np.unique(array, return_counts=True)
+        np.testing.assert_allclose(values, expected, atol=1e-7)
+        np.testing.assert_allclose(counts / robots, 1 / len(expected), atol=0.012)
+
+
+@pytest.mark.parametrize("name", ["push_n", "terrain_m", "delay_s"])
+def test_what_is_not_asked_for_does_not_act(name):
+    config = replace(DisturbanceConfig(), **{name: getattr(ALL, name)})
+    drawn = draw(config, jax.random.key(1), 1000, HZ)
+    acting = {"push_n": drawn.push.any(), "terrain_m": drawn.terrain.any(), "delay_s": drawn.delay.any()}
+    assert acting == {other: other == name for other in acting}
+    assert config.active
+    assert not DisturbanceConfig().active
+
+
+def test_a_push_over_is_followed_by_the_next_and_an_episode_over_by_all_anew():
+    present = Disturbance(
+        push=jnp.ones((4, 3)),
+        push_start=jnp.array([64, 96, 64, 96]),
+        push_stop=jnp.array([264, 296, 264, 296]),
+        delay=jnp.full(4, 7),
+        terrain=jnp.full(4, 0.5),
+    )
+    ended = jnp.array([False, False, True, True])
+    key, step = jax.random.key(2), jnp.array([288, 288, 288, 288])
+    fresh = draw(ALL, key, 4, HZ)
+    now = renew(ALL, key, present, step, ended, HZ)
+    np.testing.assert_array_equal(now.delay, [7, 7, *fresh.delay[2:]])
+    np.testing.assert_array_equal(now.terrain, [0.5, 0.5, *fresh.terrain[2:]])
+    np.testing.assert_array_equal(now.push, [fresh.push[0], present.push[1], *fresh.push[2:]])
+    np.testing.assert_array_equal(now.push_start, [288 + fresh.push_start[0], 96, *fresh.push_start[2:]])
+    np.testing.assert_array_equal(now.push_stop, now.push_start + 200)
+
+
+def test_pushes_act_when_and_as_drawn_one_after_the_other(hills, motion):
+    config = DisturbanceConfig(push_n=50, push_pause_s=0.032)
+    env = make(hills, motion, config, early_end_reward=None)
+    state = env.reset(jax.random.key(3))
+    pushes = []
+    for i in range(10):
+        before, state = state, env.step(state, NO_ACTION, jax.random.key(i))
+        target = sample(motion, np.asarray(before.clock.phase) + 1, np.zeros(ROBOTS, int))[0]
+        target = np.asarray(target, float)[:, 7:]
+        assert not np.asarray(state.terminated).any()
+        pushes.append(before.disturbance)
+        over = before.disturbance.push_stop <= SUBSTEPS * (i + 1)
+        assert_same(state.disturbance.push[~over], before.disturbance.push[~over])
+        assert (state.disturbance.push[over] != before.disturbance.push[over]).any(axis=1).all()
+        assert (state.disturbance.push_start[over] - SUBSTEPS * (i + 1) <= SUBSTEPS).all()
+    # 0.2 s are 6.25 control steps, so that the second push begins within 8 or 9 of them.
+    assert all((pushes[-1].push != pushes[0].push).any(axis=1))
+    assert (pushes[-1].push_start >= 7 * SUBSTEPS).all()
+
+
+def test_a_step_is_the_physics_under_the_drawn_disturbance(hills, motion):
+    env = make(hills, motion, replace(ALL, push_pause_s=0.0))
+    state = env.reset(jax.random.key(4))
+    assert_same(state.disturbance, draw(env.config.disturbance, jax.random.fold_in(jax.random.key(4), 1), ROBOTS, HZ))
+    assert state.disturbance.delay.any()
+    assert state.disturbance.terrain.any()
+    after = env.step(state, NO_ACTION, jax.random.key(5))
+    target = np.asarray(env._target(state.clock, NO_ACTION), float)
+    moved = hills.advance(state.physics, target, state.disturbance, SUBSTEPS)
+    going = ~np.asarray(after.terminated)
+    assert going.sum() >= ROBOTS // 2
+    assert_same(after.physics.qpos[going], moved.qpos[going])
+    slots = (moved.step - state.disturbance.delay) % 6
+    sensed = moved.history[np.arange(ROBOTS), slots]
+    np.testing.assert_allclose(after.final_observation[:, :6], sensed[:, 1:7], atol=1e-6)
+
+
+def test_robots_start_on_a_crest_and_are_judged_from_there(hills, motion):
+    env = make(hills, motion, DisturbanceConfig(terrain_m=0.3))
+    state = env.reset(jax.random.key(8))
+    height = state.disturbance.terrain
+    phase = np.asarray(state.clock.phase)
+    first = np.asarray(motion.qpos)[phase]
+    on_terrain = height > 0
+    assert 0 < on_terrain.sum() < ROBOTS
+    np.testing.assert_allclose(state.physics.qpos[:, 0], np.where(on_terrain, np.pi / 2, first[:, 0]), atol=1e-6)
+    np.testing.assert_allclose(state.physics.qpos[:, 2], first[:, 2] + height, atol=1e-6)
+
+    for i in range(2):
+        state = env.step(state, NO_ACTION, jax.random.key(i))
+        assert not np.asarray(state.terminated).any()
+    walked = state.physics.qpos.copy()
+    walked[:, 2] -= height * np.sin(walked[:, 0])
+    walked[:, 0] -= np.where(on_terrain, np.pi / 2 - first[:, 0], 0)
+    expected = reward.total(reward.terms(reward.SCALES["weighted"], walked, sample(motion, phase + 2, 0 * phase)[0]))
+    np.testing.assert_allclose(state.reward, expected, atol=1e-5)
+
+
+def test_a_reset_draws_everything_anew(hills, motion):
+    env = make(hills, motion, ALL)
+    state = env.reset(jax.random.key(7))
+    for i in range(40):
+        before, state = state, env.step(state, NO_ACTION, jax.random.key(i))
+        ended = np.asarray(state.terminated)
+        fresh = draw(ALL, jax.random.fold_in(jax.random.key(i), 1), ROBOTS, HZ)
+        for name in ("push", "push_start", "push_stop", "delay", "terrain"):
+            now = getattr(state.disturbance, name)
+            assert_same(now[ended], np.asarray(getattr(fresh, name))[ended])
+        assert_same(state.disturbance.terrain[~ended], before.disturbance.terrain[~ended])
+        assert_same(state.disturbance.delay[~ended], before.disturbance.delay[~ended])
+        if ended.any():
+            return
+    pytest.fail("the reference angles alone do not walk")
+
+
+def test_without_disturbances_keys_draw_what_they_always_drew(hills, motion):
+    env = make(hills, motion, DisturbanceConfig(), episode_steps=1)
+    state = env.reset(jax.random.key(8))
+    np.testing.assert_array_equal(state.clock.phase, jax.random.randint(jax.random.key(8), (ROBOTS,), 0, env.samples))
+    state = env.step(state, NO_ACTION, jax.random.key(9))
+    assert np.asarray(state.truncated).all()
+    np.testing.assert_array_equal(state.clock.phase, jax.random.randint(jax.random.key(9), (ROBOTS,), 0, env.samples))
+    assert_same(state.disturbance, Disturbance.none(ROBOTS))
+
+
+def test_both_engines_draw_and_live_the_same(hills, motion):
+    config = DisturbanceConfig(push_n=200, push_pause_s=0.0, terrain_m=0.24)
+    states = []
+    for physics in (hills, MjxPhysics(load_for_mjx(MJX_TRAINING))):
+        env = make(physics, motion, config)
+        state = env.reset(jax.random.key(10))
+        for i in range(3):
+            state = env.step(state, NO_ACTION, jax.random.key(i))
+        states.append(state)
+    assert_same(states[0].disturbance, states[1].disturbance)
+    np.testing.assert_allclose(states[1].physics.qpos, states[0].physics.qpos, atol=0.02)
+    np.testing.assert_allclose(states[1].reward, states[0].reward, atol=5e-3)
+
+
+def test_bad_configurations(motion):
+    for name in ("push_n", "push_pause_s", "terrain_m", "delay_s"):
+        with pytest.raises(ValueError, match=f"{name}=-1 must be a finite number of at least 0."):
+            DisturbanceConfig(**{name: -1})
+    with pytest.raises(ValueError, match=r"delay_s=0.01 is 10 physics steps; this engine was made for 0 to 0\."):
+        make(NativePhysics(load(MODEL)), motion, DisturbanceConfig(delay_s=0.01))
+
+
+def test_brax_gets_no_disturbances(motion):
+    from cassie_mjx.envs.brax_env import CassieEnv
+
+    with pytest.raises(ValueError, match="is not for CassieEnv"):
+        CassieEnv(motion, WalkConfig(disturbance=DisturbanceConfig(push_n=100)))

@@ -1,0 +1,123 @@
+"""Training from another policy, and training under disturbances: what they start from and how they resume."""
+
+import io
+import json
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from rich.console import Console
+
+from cassie_mjx import checkpoint
+from cassie_mjx.config import PPOConfig
+from cassie_mjx.envs.disturbance import DisturbanceConfig
+from cassie_mjx.envs.walk import WalkConfig
+from cassie_mjx.export import NumpyPolicy
+from cassie_mjx.ppo import networks
+from cassie_mjx.train import Session, TrainConfig
+
+TINY = PPOConfig(
+    num_robots=4,
+    num_steps=8,
+    iterations=2,
+    updates_per_iteration=3,
+    minibatch_size=16,
+    hidden_sizes=(16, 16),
+    normalizer_samples=64,
+)
+ALL = WalkConfig(disturbance=DisturbanceConfig(push_n=100, push_pause_s=0.1, terrain_m=0.1, delay_s=0.004))
+
+
+def session(folder, **changes):
+    config = TrainConfig(ppo=TINY, physics="native", evaluate_every=2, run_dir=str(folder))
+    return Session(replace(config, **changes), Console(file=io.StringIO()))
+
+
+def last_state(folder):
+    last = checkpoint.latest(folder / "checkpoints")
+    return checkpoint.restore(last).arrays if last else pytest.fail("no checkpoint")
+
+
+def assert_same_state(one, other):
+    ours, theirs = last_state(one), last_state(other)
+    assert ours.keys() == theirs.keys()
+    assert all(np.array_equal(ours[name], theirs[name]) for name in ours)
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("first")
+    session(folder).train()
+    return folder
+
+
+@pytest.mark.parametrize("named", ["directory", "file"])
+def test_a_run_starts_as_the_policy_it_is_given(first, tmp_path, named):
+    path = first / "best.npz"
+    begun = session(tmp_path, init=str(first if named == "directory" else path), seed=5)
+    saved, policy = NumpyPolicy.load(path), begun.run.learner.policy
+    seen = saved.mean + saved.std * np.random.default_rng(0).normal(size=(50, 80)).astype(np.float32)
+    np.testing.assert_allclose(networks.mode(policy, jnp.asarray(seen)), saved(seen), atol=1e-5)
+    assert float(policy.normalizer.samples) == saved.samples
+
+
+def test_it_keeps_the_input_statistics_and_learns(first, tmp_path):
+    session(tmp_path, init=str(first), seed=5).train()
+    before, after = (NumpyPolicy.load(folder / "last.npz") for folder in (first, tmp_path))
+    np.testing.assert_allclose(after.std, before.std, rtol=1e-5)
+    assert not np.array_equal(after.weights[0][0], before.weights[0][0])
+    assert json.loads((tmp_path / "config.json").read_text())["config"]["init"] == str(first)
+
+
+def test_it_resumes_without_the_policy_it_started_from(first, tmp_path):
+    given = tmp_path / "given.npz"
+    given.write_bytes((first / "best.npz").read_bytes())
+    session(tmp_path / "unbroken", init=str(given)).train()
+    stop_after(1, session(tmp_path / "stopped", init=str(given)))
+    given.unlink()
+    session(tmp_path / "stopped", init=str(given), resume=True).train()
+    assert_same_state(tmp_path / "stopped", tmp_path / "unbroken")
+
+
+def test_a_requeued_job_starts_as_the_policy_it_is_given(first, tmp_path):
+    begun, again = (session(tmp_path / str(k), init=str(first), resume=bool(k)).run.learner for k in (0, 1))
+    np.testing.assert_array_equal(begun.policy.normalizer.mean, again.policy.normalizer.mean)
+    assert float(again.policy.normalizer.samples) == NumpyPolicy.load(first / "best.npz").samples
+
+
+def stop_after(iterations, begun):
+    """Train so far and no further, as a signal would have it."""
+    begun.config = replace(begun.config, ppo=replace(TINY, iterations=iterations))
+    begun.train()
+
+
+def test_a_disturbed_run_resumes_exactly(tmp_path):
+    session(tmp_path / "unbroken", walk=ALL).train()
+    stop_after(1, session(tmp_path / "stopped", walk=ALL))
+    session(tmp_path / "stopped", walk=ALL, resume=True).train()
+    assert_same_state(tmp_path / "stopped", tmp_path / "unbroken")
+    assert json.loads((tmp_path / "stopped" / "config.json").read_text())["config"]["walk.disturbance.push_n"] == 100
+
+
+def test_the_best_policy_is_that_of_the_highest_return_and_under_disturbances_the_last(tmp_path, monkeypatch):
+    falling = ({"return_plain": 0.0, "return_weighted": value, "steps": 0.0} for value in (9.0, 8.0, 7.0, 6.0))
+    monkeypatch.setattr("cassie_mjx.train.walk_returns", lambda *_: next(falling))
+    for name, walk in (("calm", WalkConfig()), ("rough", ALL)):
+        session(tmp_path / name, walk=walk, evaluate_every=1).train()
+    kept = [NumpyPolicy.load(tmp_path / name / "best.npz").provenance["return_weighted"] for name in ("calm", "rough")]
+    assert kept == [9.0, 6.0]
+
+
+@pytest.mark.parametrize("name", ["nowhere", "empty"])
+def test_a_policy_that_is_not_there_is_refused_before_anything_is_written(tmp_path, name):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match=f"init=.*{name} is none of 1x.*, nor a policy's .npz file, nor a run"):
+        session(tmp_path / "run", init=str(tmp_path / name))
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_policy_of_other_layers_is_refused(first, tmp_path):
+    with pytest.raises(ValueError, match=r"has hidden layers of \[16, 16\]; set ppo.hidden_sizes to that."):
+        Session(TrainConfig(init=str(first), run_dir=str(tmp_path / "run")), Console(file=io.StringIO()))
+    assert not (tmp_path / "run").exists()
