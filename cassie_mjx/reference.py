@@ -81,6 +81,18 @@ def sample(motion: ReferenceMotion, phase: Array, stride: Array) -> tuple[Array,
     return qpos + advance[..., None] * xp.asarray(np.arange(robot.NQ) == _X, qpos.dtype), qvel
 
 
+def nearest_sample(phase: Array, samples: int) -> np.ndarray:
+    """The whole control step nearest to a phase of the stride, [...], the later one of two that are as near.
+
+    Half a stride later is then half the samples later: 6/8 of 22 samples is 11 after 2/8.
+
+    Args:
+      phase: fraction of the stride, [...].
+      samples: N, control steps of the stride.
+    """
+    return np.floor(np.asarray(phase) * samples + 0.5).astype(np.int32)
+
+
 def stretch(motion: ReferenceMotion, factor: float) -> ReferenceMotion:
     """The same motion at `factor` times the speed: pelvis x and its velocity are scaled, nothing else.
 

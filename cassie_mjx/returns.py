@@ -10,7 +10,7 @@ from cassie_mjx.envs.walk import WalkConfig, WalkEnv
 from cassie_mjx.model import ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance, Physics
-from cassie_mjx.reference import ReferenceMotion
+from cassie_mjx.reference import ReferenceMotion, nearest_sample
 
 STARTS = 10
 EPISODE_STEPS = 300
@@ -50,7 +50,7 @@ def walk_returns(act: Act, env: WalkEnv, disturbance: Disturbance | None = None)
     """
     if env.config.early_end_reward is not None:
         raise ValueError("Returns are measured without an early end; make the environment with early_end_reward=None.")
-    phase = np.round(np.arange(env.robots) * env.samples / env.robots).astype(np.int32) % env.samples
+    phase = nearest_sample(np.arange(env.robots) / env.robots, env.samples) % env.samples
     state = env.reset_at(phase, disturbance or Disturbance.none(env.robots))
     walking = np.ones(env.robots, bool)
     phase_key = jax.random.key(0)  # of robots that walk on after a fall, which count no more

@@ -18,7 +18,7 @@ from cassie_mjx.interpolate import SCHEDULES, Progress
 from cassie_mjx.model import CONTROL_PERIOD_S, standing
 from cassie_mjx.physics.types import Array, BodyState, Disturbance, Physics, PhysicsState
 from cassie_mjx.ppo import networks
-from cassie_mjx.reference import ReferenceMotion, sample, stretch
+from cassie_mjx.reference import ReferenceMotion, nearest_sample, sample, stretch
 from cassie_mjx.returns import EPISODE_STEPS, STARTS, referee, walk_returns
 from cassie_mjx.trials import Measured, Subject, Walker, carried, decide, fallen
 
@@ -135,7 +135,7 @@ class ControllerSubject:
 
     def start(self, physics: Physics, phases: np.ndarray) -> Walker:
         """See `Subject.start`: one robot walks nine strides from standing, and is copied along the tenth."""
-        calls = self.calls_before(WARM_UP_STRIDES) + np.round(self.stride_calls * phases).astype(int)
+        calls = self.calls_before(WARM_UP_STRIDES) + nearest_sample(phases, self.stride_calls)
         return copied_along(self, physics, self.stand(physics, 1), calls)
 
     def returns(self, physics: Physics, delay: int = 0) -> list[Measured]:
@@ -195,7 +195,7 @@ class PolicySubject:
         samples = len(self.motion.qpos)
         qpos, qvel = sample(self.motion, np.zeros(1, int), np.zeros(1, int))
         walker = Walker(physics.init(np.asarray(qpos, float), np.asarray(qvel, float)), np.zeros(1, np.int32))
-        steps = samples * WARM_UP_STRIDES + np.round(samples * phases).astype(int)
+        steps = samples * WARM_UP_STRIDES + nearest_sample(phases, samples)
         return copied_along(self, physics, walker, steps)
 
     def returns(self, physics: Physics, delay: int = 0) -> list[Measured]:

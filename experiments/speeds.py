@@ -19,7 +19,7 @@ from cassie_mjx.envs.walk import WalkConfig, WalkEnv
 from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance
-from cassie_mjx.reference import MAX_STRETCH
+from cassie_mjx.reference import MAX_STRETCH, nearest_sample
 from cassie_mjx.subjects import PolicySubject
 from cassie_mjx.suites import Setting
 from experiments.interpolation import STARTS, Ride
@@ -62,7 +62,7 @@ def follow(policy: PolicySubject, factors: np.ndarray, starts: int = STARTS) -> 
     """Walk from `starts` phases of the stride, told a factor [T] on the motion's speed at every control step."""
     task = WalkConfig(early_end_reward=None, episode_steps=len(factors) + 1, damping=policy.damping)
     env = WalkEnv(NativePhysics(load(ModelConfig()), damping=policy.damping), policy.motion, task, starts)
-    phase = np.arange(starts) * env.samples // starts
+    phase = nearest_sample(np.arange(starts) / starts, env.samples) % env.samples
     state = env.reset_at(phase, Disturbance.none(starts), np.full(starts, factors[0]))
     fell, x, commanded_x = np.zeros(starts, bool), [state.physics.qpos[:, 0]], [0.0]
     speed_mps = interpolate.mean_speed(policy.motion)

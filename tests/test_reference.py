@@ -16,6 +16,7 @@ from cassie_mjx.reference import (
     ReferenceMotion,
     blend,
     make_periodic,
+    nearest_sample,
     resolve,
     sample,
     stretch,
@@ -238,3 +239,8 @@ def test_make_periodic_wants_two_halves(model, motion):
     qpos, qvel = next_stride(motion)
     with pytest.raises(ValueError, match="A stride of 21 samples has no two halves"):
         make_periodic(qpos[:-1], qvel[:-1], model)
+
+
+def test_half_a_stride_later_is_half_the_samples_later():
+    phases = np.arange(8) / 8
+    assert nearest_sample(phases, 22).tolist() == [0, 3, 6, 8, 11, 14, 17, 19]

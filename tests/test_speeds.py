@@ -56,7 +56,7 @@ class Standing:
     """A policy that asks for the reference angles alone, and keeps what it was shown."""
 
     def __init__(self):
-        self.motion, self.seen = reference.resolve("walk"), []
+        self.motion, self.damping, self.seen = reference.resolve("walk"), 1.0, []
 
     def mode(self, observation):
         self.seen.append(np.asarray(observation))
