@@ -76,9 +76,7 @@ STUDIES = {
         Variant("paper-no-early-end", PAPER | {"walk.early_end_reward": "null"}, (0,)),
         Variant("paper-normalized-advantage", PAPER | {"ppo.normalize_advantage": "true"}, (0,)),
         Variant("paper-output-scale-1", PAPER | {"ppo.actor_output_scale": "1.0"}, (0,)),
-        Variant("paper-weighted", PAPER | {"walk.reward": "weighted"}, (0,)),
         Variant("paper-std-0.018", PAPER | {"ppo.action_std": "0.018"}, (0,)),
-        Variant("paper-gamma-0.95", PAPER | {"ppo.gamma": "0.95"}, (0,)),
     ),
 }
 """What can be studied."""
