@@ -13,21 +13,15 @@ from rich.console import Console
 from rich.status import Status
 from rich.table import Table
 
-from cassie_mjx import cli, subjects
+from cassie_mjx import cli
+from cassie_mjx.subjects import SubjectConfig
 from cassie_mjx.suites import ALL, ENGINES, SUITES, Setting
 
 
 @dataclass(frozen=True)
-class EvaluateConfig:
+class EvaluateConfig(SubjectConfig):
     """What to measure."""
 
-    policy: str = "1x"
-    """What walks: a policy that we ship, a policy's .npz file, a run's directory (its best policy), "controller:stiff",
-    "controller:compliant", or "blend:" and two or more policies with commas between."""
-    speed: str | None = None
-    """Speed at which a policy is told to walk, such as "2.5x"; null for its own, 1x if it was trained at any."""
-    schedule: str | None = None
-    """How a blend changes: "ramp", to its last policy and back in time, or "adaptive", with the robot's speed."""
     suite: str = "all"
     """"walk", "delay", "terrain", "push", "all" of them, or "map": all pushes in 16 directions."""
     long: bool = False
@@ -49,7 +43,7 @@ def main(config: EvaluateConfig) -> None:
     """Measure, write the result and show it."""
     out = cli.check_writable(config.out)
     console = Console(stderr=True)
-    subject = subjects.resolve(config.policy, config.speed, config.schedule)
+    subject = config.subject()
     rows: list[dict[str, Any]] = []
     cells: dict[str, Any] = {}
     seconds: dict[str, float] = {}

@@ -22,9 +22,10 @@ from mujoco.rendering.classic import gl_context
 from rich.console import Console
 from rich.progress import track
 
-from cassie_mjx import cli, robot, subjects
+from cassie_mjx import cli, robot
 from cassie_mjx.film import Shot, film
 from cassie_mjx.model import ModelConfig, set_terrain, xml_path
+from cassie_mjx.subjects import SubjectConfig
 from cassie_mjx.trials import Trial
 
 CAMERAS = ("three-quarter", "side", "front")
@@ -47,11 +48,9 @@ _PROBE = "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco
 
 
 @dataclass(frozen=True)
-class RenderConfig:
+class RenderConfig(SubjectConfig):
     """What to film."""
 
-    policy: str = "1x"
-    """What walks: a single policy or a controller, named as in `cassie_mjx.evaluate`."""
     out: str = "walk.mp4"
     """Video file, .mp4 or .gif."""
     seconds: float = 10.0
@@ -194,7 +193,7 @@ def write_video(path: Path, frames: Iterable[np.ndarray], width: int, height: in
 def main(config: RenderConfig) -> None:
     """Film the walk, and say how it went."""
     out = cli.check_writable(config.out)
-    subject, console = subjects.resolve(config.policy), Console(stderr=True)
+    subject, console = config.subject(), Console(stderr=True)
     with open_renderer(load_scene(config.terrain), config.width, config.height) as renderer:
         with console.status("walking"):
             shots = list(film(subject, config.trial, config.phase, config.push_at, config.fps))

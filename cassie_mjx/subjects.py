@@ -1,7 +1,7 @@
 """What can be evaluated: heuristic walkers, trained policies and blends of them, each as a `Subject` of the sweeps."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -24,6 +24,23 @@ from cassie_mjx.trials import Measured, Subject, Walker, carried, decide, fallen
 
 CONTROLLER_PREFIX, BLEND_PREFIX = "controller:", "blend:"
 WARM_UP_STRIDES = 9
+
+
+@dataclass(frozen=True)
+class SubjectConfig:
+    """What walks: the first keys of a command that has one subject."""
+
+    policy: str = "1x"
+    """What walks: a policy that we ship, a policy's .npz file, a run's directory (its best policy), "controller:stiff",
+    "controller:compliant", or "blend:" and two or more policies with commas between."""
+    speed: str | None = None
+    """Speed at which a policy is told to walk, such as "2.5x"; null for its own, 1x if it was trained at any."""
+    schedule: str | None = None
+    """How a blend changes: "ramp", to its last policy and back in time, or "adaptive", with the robot's speed."""
+
+    def subject(self) -> Subject:
+        """The subject of these names; see `resolve`."""
+        return resolve(self.policy, self.speed, self.schedule)
 
 
 def resolve(name: str, speed: str | None = None, schedule: str | None = None) -> Subject:

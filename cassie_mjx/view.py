@@ -16,11 +16,12 @@ import mujoco
 import mujoco.viewer
 import numpy as np
 
-from cassie_mjx import cli, robot, subjects
+from cassie_mjx import cli, robot
 from cassie_mjx.film import AFTER_FALL_S, begin
 from cassie_mjx.model import servo_model
 from cassie_mjx.physics.types import Disturbance, PhysicsState
 from cassie_mjx.render import load_scene
+from cassie_mjx.subjects import SubjectConfig
 from cassie_mjx.trials import Subject, Trial, Walker, decide, fallen
 
 # The viewer takes over state and mouse force so often.
@@ -29,11 +30,9 @@ SPEED_WINDOW_S = 1.0
 
 
 @dataclass(frozen=True)
-class ViewConfig:
+class ViewConfig(SubjectConfig):
     """What to watch."""
 
-    policy: str = "1x"
-    """What walks: a single policy or a controller, named as in `cassie_mjx.evaluate`."""
     terrain: float = 0.0
     """Height h of the terrain z = h sin x, m; above 0 the robot starts on a crest."""
 
@@ -124,7 +123,7 @@ def main(config: ViewConfig) -> None:
     """Open the viewer, and walk until its window is closed or Ctrl-C is typed."""
     if sys.platform != "darwin":
         check_screen()
-    live = Live(subjects.resolve(config.policy), config.terrain)
+    live = Live(config.subject(), config.terrain)
     try:
         window = mujoco.viewer.launch_passive(live.model, live.data, show_left_ui=False, show_right_ui=False)
     except RuntimeError as error:

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from cassie_mjx import cli, subjects
+from cassie_mjx import cli
+from cassie_mjx.subjects import SubjectConfig
 from cassie_mjx.suites import (
     HIGHEST_TERRAIN_M,
     LIMIT_PHASES,
@@ -28,11 +29,9 @@ DELAY_STEP_MS = 1.0
 
 
 @dataclass(frozen=True)
-class SurvivalConfig:
-    """What walks."""
+class SurvivalConfig(SubjectConfig):
+    """What walks, and where its result goes."""
 
-    policy: str = "1x"
-    """A walker, as `cassie_mjx.evaluate` takes it."""
     out: str = "survival.json"
     """Result file."""
 
@@ -70,7 +69,7 @@ def rows(name: str, quantity: str, level_unit: str, levels: Sequence[float], up:
 def main(config: SurvivalConfig) -> None:
     """Walk all levels and write the result."""
     out = cli.check_writable(config.out)
-    subject, console = subjects.resolve(config.policy), Console(stderr=True)
+    subject, console = config.subject(), Console(stderr=True)
     with console.status("walking") as status:
         setting = Setting(watch=lambda over, walking: status.update(f"{over} trials over, {walking} robots walking"))
         found = [*terrain(subject, setting), *delay(subject, setting)]

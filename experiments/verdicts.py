@@ -7,13 +7,14 @@ more or less of the disturbance changes the outcome, may well end otherwise in o
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 
-from cassie_mjx import cli, subjects
+from cassie_mjx import cli
+from cassie_mjx.subjects import SubjectConfig
 from cassie_mjx.suites import ENGINES, LIMIT_PHASES, LONGEST_DELAY_S, WALK_S, Setting, pushed, towards
 from cassie_mjx.sweeps import fly
 from cassie_mjx.trials import Subject, Trial
@@ -26,11 +27,9 @@ DELAYS = np.arange(1, 11) * 4
 
 
 @dataclass(frozen=True)
-class VerdictsConfig:
+class VerdictsConfig(SubjectConfig):
     """What to compare."""
 
-    policy: str = "1x"
-    """What walks; see `cassie_mjx.evaluate`."""
     out: str = "verdicts.json"
     """Result file."""
 
@@ -98,7 +97,7 @@ def row(kind: str, native: np.ndarray, mjx: np.ndarray, border: np.ndarray) -> d
 def main(config: VerdictsConfig) -> None:
     """Walk the cells on both engines and write what differs."""
     out, console = cli.check_writable(config.out), Console(stderr=True)
-    subject = subjects.resolve(config.policy)
+    subject = config.subject()
     rows, differing, verdicts = [], [], []
     for subset in subsets():
         found, seconds = {}, {}
@@ -117,7 +116,7 @@ def main(config: VerdictsConfig) -> None:
             differing[-1] |= {"at_border": bool(border[group, level]), "trial": vars(subset.trials[group][level])}
     rows.append(row("all", *np.concatenate(verdicts, axis=1)))
     console.print(rows[-1])
-    provenance = cli.provenance(policy=config.policy, subject=dict(subject.provenance))
+    provenance = cli.provenance(**asdict(config), subject=dict(subject.provenance))
     cli.write_json(out, {"rows": rows, "differing": differing, "provenance": provenance})
 
 

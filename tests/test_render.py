@@ -136,10 +136,12 @@ def test_an_encoder_that_fails_is_noticed(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("hold", "end"), [(1.0, "swaying stayed up"), (0.0, "swaying fell after 0.")])
 def test_the_command_says_how_it_went(drawing, tmp_path, monkeypatch, capsys, hold, end):
-    monkeypatch.setattr(subjects, "resolve", lambda name: Swaying(hold=hold))
+    asked = []
+    monkeypatch.setattr(subjects, "resolve", lambda *names: asked.append(names) or Swaying(hold=hold))
     out = tmp_path / "a.gif"
     arguments = [f"out={out}", "width=32", "height=32", "fps=10", "seconds=0.8", "push=20,0", "push_at=0.1"]
-    render.main(cli.parse(RenderConfig, arguments))
+    render.main(cli.parse(RenderConfig, ["policy=blend:1x,2x", "schedule=ramp", *arguments]))
+    assert asked == [("blend:1x,2x", None, "ramp")]
     assert end in " ".join(capsys.readouterr().err.split())
     assert len(imageio.imread(out, index=None)) == 8
 

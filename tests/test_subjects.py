@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cassie_mjx import export, reference, robot, subjects
+from cassie_mjx import cli, export, film, reference, robot, subjects
 from cassie_mjx.config import PPO_PRESETS
 from cassie_mjx.envs import observation
 from cassie_mjx.export import NumpyPolicy, save_policy
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.ppo import learner
-from cassie_mjx.subjects import ControllerSubject
+from cassie_mjx.subjects import BlendSubject, ControllerSubject, PolicySubject, SubjectConfig
 from cassie_mjx.sweeps import fly
 from cassie_mjx.trials import Trial, Walker
 
@@ -62,6 +62,25 @@ def test_a_policy_that_we_ship_goes_by_its_name():
     subject = subjects.resolve("1x")
     assert subject.name == "1x"
     assert subject.provenance == NumpyPolicy.load(export.shipped_policies()["1x"]).provenance
+
+
+def test_a_command_line_names_its_subject():
+    assert cli.parse(SubjectConfig, []).subject().name == "1x"
+    faster = cli.parse(SubjectConfig, ["policy=1x", "speed=2.5x"]).subject()
+    assert faster.name == "1x speed=2.5x"
+    assert isinstance(faster, PolicySubject)
+    assert faster.motion.stride_length == pytest.approx(2.5 * reference.resolve("walk").stride_length, rel=1e-3)
+    blend = cli.parse(SubjectConfig, ["policy=blend:1x,1x", "schedule=ramp"]).subject()
+    assert blend.name == "blend:1x,1x schedule=ramp"
+
+
+def test_a_film_of_a_blend_begins_where_its_ramp_does():
+    blend = SubjectConfig("blend:1x,1x", schedule="ramp").subject()
+    assert isinstance(blend, BlendSubject)
+    _, walker = film.begin(blend, Trial(0, 1.0), phase=0.5)
+    np.testing.assert_array_equal(walker.memory.step, [0])
+    np.testing.assert_array_equal(blend.position(walker.memory), [0])
+    np.testing.assert_array_equal(walker.memory.phase, [11])
 
 
 def test_a_damaged_policy_gets_one_sentence(tmp_path):

@@ -20,8 +20,9 @@ def test_levels_from_none_on_are_walked(monkeypatch, tmp_path):
         **{"LIMIT_PHASES": np.zeros(1), "WALK_PHASES": np.zeros(2)},
     }.items():
         monkeypatch.setattr(survival, name, value)
-    main(SurvivalConfig("1x", str(tmp_path / "a.json")))
+    main(SurvivalConfig("1x", "1.1x", out=str(tmp_path / "a.json")))
     found = json.loads((tmp_path / "a.json").read_text())["rows"]
+    assert {row["subject"] for row in found} == {"1x speed=1.1x"}
     assert [(row["quantity"], row["level"], row["level_unit"], row["n"]) for row in found] == [
         *(("terrain_survived", level, "m", 1) for level in (0.0, 0.4)),
         *(("delay_survived", level, "ms", 2) for level in (0.0, 20.0)),

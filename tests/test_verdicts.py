@@ -32,15 +32,20 @@ def test_a_border_is_where_the_next_level_has_another_verdict():
 def test_the_file_lists_what_differs(tmp_path, monkeypatch):
     """MJX lets one robot more fall: the first group's push of 60 N, where MuJoCo C has its border."""
 
+    walked = set()
+
     def survived(subject, setting, subset):
+        walked.add(subject.name)
         verdicts_of = np.ones((len(subset.trials), len(subset.trials[0])), bool)
         if subset.kind == "push":
             verdicts_of[0, 3 if setting.engine == "native" else 2 :] = False
         return verdicts_of
 
     monkeypatch.setattr(verdicts, "survived", survived)
-    verdicts.main(VerdictsConfig(policy="controller:stiff", out=str(tmp_path / "a.json")))
+    verdicts.main(VerdictsConfig(policy="1x", speed="1.5x", out=str(tmp_path / "a.json")))
     content = json.loads((tmp_path / "a.json").read_text())
+    assert walked == {"1x speed=1.5x"}
+    assert content["provenance"]["speed"] == "1.5x"
     assert [(row["kind"], row["cells"], row["same"]) for row in content["rows"]] == [
         *(("push", 384, 383), ("terrain", 64, 64), ("delay", 80, 80), ("all", 528, 527)),
     ]

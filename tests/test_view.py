@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from subject import Swaying
 
-from cassie_mjx import cli, robot, view
+from cassie_mjx import cli, robot, subjects, view
 from cassie_mjx.film import film
 from cassie_mjx.trials import Trial
 from cassie_mjx.view import Live, ViewConfig
@@ -106,9 +106,11 @@ def test_the_window_follows_the_pelvis_and_has_it_selected(monkeypatch, clock):
 
     monkeypatch.setattr(view, "check_screen", lambda: None)
     monkeypatch.setattr(view.mujoco.viewer, "launch_passive", launch)
-    monkeypatch.setattr(view.subjects, "resolve", lambda name: Swaying())
-    view.main(ViewConfig())
+    asked = []
+    monkeypatch.setattr(subjects, "resolve", lambda *names: asked.append(names) or Swaying())
+    view.main(ViewConfig(policy="any", speed="2.5x"))
     (window,) = opened
+    assert asked == [("any", "2.5x", None)]
     assert window.cam.type == mujoco.mjtCamera.mjCAMERA_TRACKING
     assert window.cam.trackbodyid == window.perturb.select == robot.PELVIS_BODY
     assert window.opt.flags[mujoco.mjtVisFlag.mjVIS_PERTFORCE]
