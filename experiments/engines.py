@@ -35,7 +35,10 @@ class EnginesConfig:
     """Result file."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError for a run that is not there, or a rate that is none."""
+        """Raise ValueError for no run or rate, a run that is not there, or a rate that is none."""
+        for name, example in (("runs", "runs/1x-seed0"), ("rates", "2000")):
+            if not getattr(self, name):
+                raise ValueError(f"{name} is empty; name at least one, such as {name}={example}.")
         for run in self.runs:
             if not (Path(run) / "best.npz").is_file():
                 raise ValueError(f"{run} holds no best.npz; name the directories of training runs.")

@@ -5,7 +5,7 @@ import json
 import jax
 import pytest
 
-from cassie_mjx import reference, robot
+from cassie_mjx import cli, reference, robot
 from cassie_mjx.config import PPOConfig
 from cassie_mjx.envs import observation
 from cassie_mjx.export import save_policy
@@ -38,3 +38,12 @@ def test_rows_are_the_returns_on_each_engine_at_each_rate(tmp_path, monkeypatch)
 def test_a_directory_without_a_policy_is_refused(tmp_path):
     with pytest.raises(ValueError, match="holds no best.npz"):
         EnginesConfig((str(tmp_path),))
+
+
+@pytest.mark.parametrize(("argument", "sentence"), [("rates=[]", "rates is empty"), ("runs=[]", "runs is empty")])
+def test_nothing_to_compare_is_refused(tmp_path, argument, sentence):
+    (tmp_path / "best.npz").touch()
+    with pytest.raises(ValueError, match=f"{sentence}; name at least one, such as "):
+        cli.parse(EnginesConfig, [f"runs={tmp_path}", argument])
+    with pytest.raises(ValueError, match=r"runs is empty; name at least one, such as runs=runs/1x-seed0\."):
+        cli.parse(EnginesConfig, [])
