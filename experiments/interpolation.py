@@ -7,7 +7,7 @@ how far the speed, averaged over a stride, is from the blended reference's. The 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ from rich.console import Console
 from cassie_mjx import cli, interpolate, subjects, suites
 from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.subjects import BlendSubject, walked
+from cassie_mjx.subjects import BlendSubject, PolicySubject, walked
 from cassie_mjx.suites import Setting
 from cassie_mjx.trials import fallen
 
@@ -99,9 +99,8 @@ def ride(blend: BlendSubject, starts: int = STARTS) -> Ride:
     return Ride.of(commanded_x[:-1], x, fell, len(blend.motions[0].qpos))
 
 
-def rough_ground(names: Sequence[str]) -> list[dict[str, Any]]:
+def rough_ground(policies: Sequence[PolicySubject]) -> list[dict[str, Any]]:
     """Rows of the terrain that policies and their adaptive blend survive."""
-    policies = [subjects.resolve_policy(name) for name in names]
     return [
         {"subject": walker.name, **figure._asdict()}
         for walker in (*policies, BlendSubject(policies, "adaptive"))
@@ -125,16 +124,18 @@ def main(config: InterpolationConfig) -> None:
     """Ride, measure, write the result and draw it."""
     paths = [cli.check_writable(path) for path in (config.out, config.plot) if path]
     console, rides, rows = Console(stderr=True), {}, []
-    for names in (config.policies[1:3], config.policies[2:4], config.policies):
-        blend = BlendSubject([subjects.resolve_policy(name) for name in names], "ramp")
+    policies = [subjects.resolve_policy(name) for name in config.policies]
+    for chain in (policies[1:3], policies[2:4], policies):
+        blend = BlendSubject(chain, "ramp")
         rides[blend.name] = ride(blend)
         rows += rides[blend.name].rows(blend.name)
         console.print(*rows[-4:], sep="\n")
     if config.terrain:
-        rows += rough_ground(config.policies[1:3])
+        rows += rough_ground(policies[1:3])
         console.print(*rows[-3:], sep="\n")
     curves = {name: walk.curve() for name, walk in rides.items()}
-    cli.write_json(paths[0], {"rows": rows, "rides": curves, "provenance": cli.provenance()})
+    provenance = cli.provenance(**asdict(config), subject={policy.name: policy.provenance for policy in policies})
+    cli.write_json(paths[0], {"rows": rows, "rides": curves, "provenance": provenance})
     if config.plot:
         draw(paths[1], rides)
 

@@ -5,7 +5,7 @@ that jumps to another speed every 2 s for a minute. MuJoCo C at 2 kHz. How they 
 study=speeds` shows.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -95,16 +95,19 @@ def main(config: SpeedsConfig) -> None:
     """Walk, write the result and draw it."""
     paths = [cli.check_writable(path) for path in (config.out, config.plot) if path]
     console, rows, walk = Console(stderr=True), [], None
-    walkers = [subjects.resolve_policy(name) for name in config.policies]
+    policies = [subjects.resolve_policy(name) for name in config.policies]
+    walkers = list(policies)
     if config.any_speed:
+        policies.append(subjects.resolve_policy(config.any_speed))
         walkers += [subjects.resolve_policy(config.any_speed, f"{factor:.3g}x") for factor in COMMANDS]
-        walk = follow(subjects.resolve_policy(config.any_speed), profile(config.seed))
+        walk = follow(policies[-1], profile(config.seed))
         rows += walk.rows(f"{config.any_speed} profile")
     for walker in walkers:
         measured = keep(walker)
         rows += measured
         console.print(walker.name, {row["quantity"]: round(row["value"], 3) for row in measured})
-    result = {"rows": rows, "provenance": cli.provenance(seed=config.seed)}
+    provenance = cli.provenance(**asdict(config), subject={policy.name: policy.provenance for policy in policies})
+    result = {"rows": rows, "provenance": provenance}
     cli.write_json(paths[0], result | ({"profile": walk.curve()} if walk else {}))
     if config.plot:
         draw(paths[1], rows, walk)

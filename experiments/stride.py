@@ -4,7 +4,7 @@ One robot in steady walking, MuJoCo C at 2 kHz, seen at every control step: the 
 where the feet stand over eight. Nothing in it is random.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -91,7 +91,8 @@ def main(config: StrideConfig) -> None:
     ]
     Console(stderr=True).print(*rows, sep="\n")
     curves = {"time_s": (CONTROL_PERIOD_S * np.arange(samples + 1)).round(3).tolist(), "joints": beside(*angles)}
-    cli.write_json(out, {"rows": rows, **curves, "feet": beside(*feet), "provenance": cli.provenance()})
+    provenance = cli.provenance(**asdict(config), subject=dict(policy.provenance))
+    cli.write_json(out, {"rows": rows, **curves, "feet": beside(*feet), "provenance": provenance})
 
 
 if __name__ == "__main__":

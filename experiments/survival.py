@@ -5,7 +5,7 @@ MuJoCo C at 2 kHz, also those beyond a level that was not survived. Nothing in i
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -75,7 +75,8 @@ def main(config: SurvivalConfig) -> None:
         found = [*terrain(subject, setting), *delay(subject, setting)]
     for row in found:
         console.print(f"{row['quantity']:17} {row['level']:5g} {row['level_unit']:2} {row['value']:.2f}")
-    cli.write_json(out, {"rows": found, "provenance": cli.provenance()})
+    provenance = cli.provenance(**asdict(config), subject=dict(subject.provenance))
+    cli.write_json(out, {"rows": found, "provenance": provenance})
 
 
 if __name__ == "__main__":

@@ -1,14 +1,17 @@
 """The experiments on speed: what a ride's figures mean, the profile, and robots that follow it."""
 
+import json
+import shutil
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cassie_mjx import reference
-from experiments.interpolation import Ride, draw
-from experiments.speeds import follow, profile
+from cassie_mjx import export, reference
+from experiments import interpolation, speeds
+from experiments.interpolation import InterpolationConfig, Ride, draw
+from experiments.speeds import SpeedsConfig, follow, profile
 
 
 def test_speeds_are_means_over_a_stride():
@@ -39,6 +42,34 @@ def test_a_ride_on_which_all_fall_has_no_speeds(tmp_path):
     assert ride.rows("x")[0]["value"] == 0
     assert ride.curve().keys() == {"time_s", "commanded_mps"}
     draw(tmp_path / "falls.png", {"all fall": ride})
+
+
+STOOD = Ride.of([0.0] * 6, [np.zeros(2)] * 6, np.array([False, False]), stride=4)
+
+
+def test_the_file_says_which_policies_kept_their_speeds(tmp_path, monkeypatch):
+    shipped = export.shipped_policies()["1x"]
+    free = str(shutil.copy(shipped, tmp_path / "any.npz"))
+    monkeypatch.setattr(speeds, "keep", lambda policy: [{"subject": policy.name, "quantity": "speed_mps", "value": 1}])
+    monkeypatch.setattr(speeds, "follow", lambda policy, factors: STOOD)
+    monkeypatch.setattr(speeds, "COMMANDS", [0.5, 2.0])
+    speeds.main(SpeedsConfig(("1x",), free, seed=3, out=str(tmp_path / "a.json")))
+    content = json.loads((tmp_path / "a.json").read_text())
+    walked = dict.fromkeys(row["subject"] for row in content["rows"])
+    assert list(walked) == [f"{free} profile", "1x", f"{free} speed=0.5x", f"{free} speed=2x"]
+    policy = export.NumpyPolicy.load(shipped)
+    assert content["provenance"]["subject"] == {"1x": policy.provenance, free: policy.provenance}
+    assert content["provenance"]["seed"] == 3
+
+
+def test_the_file_says_which_policies_were_blended(tmp_path, monkeypatch):
+    monkeypatch.setattr(interpolation, "ride", lambda blend: STOOD)
+    config = InterpolationConfig(("1x", "1x", "1x", "1x"), terrain=False, out=str(tmp_path / "a.json"))
+    interpolation.main(config)
+    content = json.loads((tmp_path / "a.json").read_text())
+    assert list(content["rides"]) == ["blend:1x,1x schedule=ramp", "blend:1x,1x,1x,1x schedule=ramp"]
+    policy = export.NumpyPolicy.load(export.shipped_policies()["1x"])
+    assert content["provenance"]["subject"] == {"1x": policy.provenance}
 
 
 def test_the_profile_jumps_every_two_seconds_for_a_minute():

@@ -1,9 +1,11 @@
 """A stride beside the reference's: joints by name, places of the feet by hand."""
 
+import json
+
 import numpy as np
 import pytest
 
-from cassie_mjx import robot
+from cassie_mjx import robot, subjects
 from cassie_mjx.reference import resolve
 from experiments import stride
 from experiments.stride import StrideConfig, beside, joint_angles, placements
@@ -40,6 +42,15 @@ def test_the_reference_goes_on_from_stride_to_stride():
 def test_both_stand_side_by_side():
     both = beside({"knee": {"left": [1]}}, {"knee": {"left": [2]}})
     assert both == {"knee": {"left": {"walked": [1], "reference": [2]}}}
+
+
+def test_the_file_says_which_policy_walked(tmp_path, monkeypatch):
+    monkeypatch.setattr(stride, "STRIDES", 2)
+    stride.main(StrideConfig("1x", str(tmp_path / "a.json")))
+    content = json.loads((tmp_path / "a.json").read_text())
+    assert {row["subject"] for row in content["rows"]} == {"1x"}
+    assert content["provenance"]["policy"] == "1x"
+    assert content["provenance"]["subject"] == subjects.resolve("1x").provenance
 
 
 def test_a_controller_has_no_reference(tmp_path):

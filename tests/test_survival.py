@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 
+from cassie_mjx.subjects import resolve
 from experiments import survival
 from experiments.survival import SurvivalConfig, main, rows
 
@@ -21,7 +22,10 @@ def test_levels_from_none_on_are_walked(monkeypatch, tmp_path):
     }.items():
         monkeypatch.setattr(survival, name, value)
     main(SurvivalConfig("1x", "1.1x", out=str(tmp_path / "a.json")))
-    found = json.loads((tmp_path / "a.json").read_text())["rows"]
+    content = json.loads((tmp_path / "a.json").read_text())
+    found, provenance = content["rows"], content["provenance"]
+    assert provenance["speed"] == "1.1x"
+    assert provenance["subject"] == resolve("1x").provenance
     assert {row["subject"] for row in found} == {"1x speed=1.1x"}
     assert [(row["quantity"], row["level"], row["level_unit"], row["n"]) for row in found] == [
         *(("terrain_survived", level, "m", 1) for level in (0.0, 0.4)),
