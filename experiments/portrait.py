@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-import imageio.v3 as imageio
 import mujoco
+from matplotlib.image import imsave
 
 from cassie_mjx import cli
 from cassie_mjx.reference import resolve
@@ -35,7 +35,7 @@ def main(config: PortraitConfig) -> None:
     mujoco.mj_forward(scene, data)
     with open_renderer(scene, config.width, config.height) as renderer:
         renderer.update_scene(data, camera=config.camera)
-        imageio.imwrite(out, renderer.render())
+        imsave(out, renderer.render())
 
 
 if __name__ == "__main__":

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
-import imageio.v3 as imageio
 import mujoco
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.image import imsave
 from rich.console import Console
 
 from cassie_mjx import cli, robot
@@ -178,7 +178,7 @@ def render(path: Path, motion: ReferenceMotion) -> None:
             mujoco.mj_forward(scene, data)
             renderer.update_scene(data, camera="side")
             frames.append(renderer.render())
-    imageio.imwrite(path, np.concatenate(frames, axis=1))
+    imsave(path, np.concatenate(frames, axis=1))
 
 
 def record(config: RecordConfig) -> tuple[ReferenceMotion, dict[str, float]]:

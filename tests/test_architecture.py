@@ -1,9 +1,14 @@
 """Who may import whom, and what every file must keep to."""
 
 import ast
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "cassie_mjx"
@@ -69,6 +74,22 @@ def test_imports_follow_the_design(path):
         if below(module, package):
             wrong = [name for name in found for bad in forbidden if below(name, bad) and not below(name, package)]
             assert not wrong
+
+
+def distributions(paths):
+    """What has to be installed for these files, apart from Python and us."""
+    owners = packages_distributions()
+    tops = {name.split(".")[0] for path in paths for name in imports(path)}
+    # Of several distributions that share a package, as mujoco and mujoco-mjx do, the one of its name counts.
+    found = {top: owners[top] for top in tops - sys.stdlib_module_names - {"cassie_mjx", "experiments"}}
+    return {canonicalize_name(top if top in names else names[0]) for top, names in found.items()}
+
+
+def test_what_is_imported_is_declared_where_it_is_needed():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    declared = {canonicalize_name(Requirement(line).name) for line in project["dependencies"]}
+    assert distributions(PACKAGE.rglob("*.py")) <= declared
+    assert declared - distributions(SOURCES) <= {"mujoco-mjx"}
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=module_name)
