@@ -6,6 +6,7 @@ A configuration that exists is valid: its constructor checks every value and say
 from dataclasses import dataclass
 
 SCHEDULES = ("constant", "linear", "exponential")
+FACTORS = "a factor from 0x to 4x, such as 2x or 1.5x"
 
 
 def _require(config: object, name: str, valid: bool, expected: str) -> None:
@@ -159,14 +160,7 @@ def speed_factor(speed: str) -> float:
     Raises:
         ValueError: it is not a number from 0 to 4, with or without an x.
     """
-    try:
-        factor = float(speed.removesuffix("x"))
-    except ValueError:
-        factor = -1.0
-    # The paper's range: beyond 4 the legs cannot follow the stretched stride.
-    if not 0 <= factor <= 4:
-        raise ValueError(f"speed={speed} is not a speed; give a factor from 0x to 4x, such as 2x or 1.5x.")
-    return factor
+    return _factor(speed, FACTORS)
 
 
 def speed_factors(speed: str) -> tuple[float, tuple[float, float]]:
@@ -177,4 +171,17 @@ def speed_factors(speed: str) -> tuple[float, tuple[float, float]]:
     Raises:
         ValueError: it is neither "any" nor a factor from 0 to 4.
     """
-    return (1.0, (0.0, 4.0)) if speed == "any" else (speed_factor(speed), (1.0, 1.0))
+    if speed == "any":
+        return 1.0, (0.0, 4.0)
+    return _factor(speed, f"{FACTORS}, or any for all of them"), (1.0, 1.0)
+
+
+def _factor(speed: str, valid: str) -> float:
+    try:
+        factor = float(speed.removesuffix("x"))
+    except ValueError:
+        factor = -1.0
+    # The paper's range: beyond 4 the legs cannot follow the stretched stride.
+    if not 0 <= factor <= 4:
+        raise ValueError(f"speed={speed} is not a speed; give {valid}.")
+    return factor

@@ -346,7 +346,8 @@ def test_the_command_itself_ends_with_a_sentence_and_a_status(tmp_path):
     arguments = [sys.executable, "-m", "cassie_mjx.train", "speed=9x"]
     done = subprocess.run(arguments, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 2
-    assert done.stderr == "error: speed=9x is not a speed; give a factor from 0x to 4x, such as 2x or 1.5x.\n"
+    sentence = "speed=9x is not a speed; give a factor from 0x to 4x, such as 2x or 1.5x, or any for all of them."
+    assert done.stderr == f"error: {sentence}\n"
 
 
 def test_speeds():
@@ -355,6 +356,11 @@ def test_speeds():
     for text in ("-1x", "4.1x", "nan", "x", ""):
         with pytest.raises(ValueError, match="is not a speed"):
             speed_factor(text)
+        with pytest.raises(ValueError, match=r"such as 2x or 1\.5x, or any for all of them\.$"):
+            speed_factors(text)
+    # Only training draws speeds: a policy is told one.
+    with pytest.raises(ValueError, match=r"speed=any is not a speed; give .* such as 2x or 1\.5x\.$"):
+        speed_factor("any")
 
 
 def test_a_policy_for_any_speed_is_saved_with_the_motion_as_recorded(tmp_path):
