@@ -7,6 +7,7 @@ import os
 import platform
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -83,7 +84,7 @@ def provenance(**more: Any) -> dict[str, Any]:
         "command": " ".join(["python -m", name, *sys.argv[1:]]),
         "commit": _commit(),
         "date": datetime.date.today().isoformat(),
-        "hardware": f"{_processor()}, {os.cpu_count()} cores",
+        "hardware": ", ".join([_processor(), f"{os.cpu_count()} cores", *_accelerators()]),
         "python": platform.python_version(),
         "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
         **more,
@@ -113,6 +114,15 @@ def _commit() -> str:
     except (OSError, subprocess.CalledProcessError):
         return "not a checkout"
     return commit.stdout.strip() + ("+changes" if changes.stdout.strip() else "")
+
+
+def _accelerators() -> list[str]:
+    """What JAX computes on other than the processor, if JAX is in use."""
+    jax = sys.modules.get("jax")
+    if not jax or jax.default_backend() == "cpu":
+        return []
+    counts = Counter(device.device_kind for device in jax.devices())
+    return [f"{count} x {kind}" for kind, count in counts.items()]
 
 
 def _processor() -> str:

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import pytest
 
@@ -55,3 +56,19 @@ def test_results_are_written_whole_with_their_provenance(tmp_path):
     provenance = json.loads(path.read_text())["provenance"]
     assert provenance["seed"] == 7
     assert {"command", "commit", "date", "hardware", "python", "versions"} <= provenance.keys()
+
+
+@pytest.mark.parametrize(
+    ("backend", "kinds", "named"),
+    [("gpu", 8 * ["NVIDIA H200"], " cores, 8 x NVIDIA H200"), ("cpu", ["cpu"], " cores")],
+)
+def test_hardware_names_what_jax_computes_on(monkeypatch, backend, kinds, named):
+    devices = [SimpleNamespace(device_kind=kind) for kind in kinds]
+    jax = SimpleNamespace(default_backend=lambda: backend, devices=lambda: devices)
+    monkeypatch.setitem(sys.modules, "jax", jax)
+    assert cli.provenance()["hardware"].endswith(named)
+
+
+def test_provenance_leaves_jax_alone_where_nothing_uses_it():
+    program = "import sys; from cassie_mjx import cli; cli.provenance(); assert 'jax' not in sys.modules"
+    subprocess.run([sys.executable, "-c", program], check=True)
