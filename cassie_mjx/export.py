@@ -176,7 +176,7 @@ def save_policy(
 
 
 def learner_policy(saved: NumpyPolicy) -> "Policy":
-    """The same policy for `ppo.networks`: to be evaluated on an accelerator, or trained further.
+    """The same policy for `ppo.networks`, without noise: to be evaluated on an accelerator, or trained further.
 
     Raises:
       ValueError: it was trained on another layout of the observation, or for another robot, than this version's.
@@ -203,7 +203,7 @@ def learner_policy(saved: NumpyPolicy) -> "Policy":
     layers = [{"kernel": jnp.asarray(weight), "bias": jnp.asarray(bias)} for weight, bias in saved.weights]
     squares = jnp.asarray(np.square(saved.std) * saved.samples)
     normalizer = Normalizer(jnp.asarray(saved.samples, jnp.float32), jnp.asarray(saved.mean), squares)
-    return Policy(normalizer, dict(zip(names, layers, strict=True)))
+    return Policy(normalizer, dict(zip(names, layers, strict=True)), std=jnp.zeros(()))
 
 
 def _read(path: Path) -> dict[str, np.ndarray]:

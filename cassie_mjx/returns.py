@@ -30,7 +30,7 @@ def referee(
       speeds: lowest and highest factor on the motion's speed; the ten robots have ten from the one to the other.
     """
     physics = physics or NativePhysics(load(ModelConfig(physics_hz=2000)))
-    config = WalkConfig(early_end_reward=None, episode_steps=EPISODE_STEPS, damping=physics.damping)
+    config = WalkConfig(episode_steps=EPISODE_STEPS, damping=physics.damping).to_the_fall()
     return WalkEnv(physics, motion, config, STARTS, speeds)
 
 
@@ -48,8 +48,8 @@ def walk_returns(act: Act, env: WalkEnv, disturbance: Disturbance | None = None)
     Raises:
       ValueError: the environment ends episodes early, which would count as falls.
     """
-    if env.config.early_end_reward is not None:
-        raise ValueError("Returns are measured without an early end; make the environment with early_end_reward=None.")
+    if env.config.ends_early:
+        raise ValueError("Returns are measured without early ends; use the configuration's to_the_fall().")
     phase = nearest_sample(np.arange(env.robots) / env.robots, env.samples) % env.samples
     state = env.reset_at(phase, disturbance or Disturbance.none(env.robots))
     walking = np.ones(env.robots, bool)

@@ -36,10 +36,10 @@ class Counters:
 
     train_s: float = 0.0
     """Time in training, evaluations apart, s."""
-    best_return: float = -1.0
-    """Highest `return_weighted` so far."""
-    return_plain: float = 0.0
-    """`return_plain` of the same policy."""
+    return_plain: float = -1.0
+    """`return_plain` of the best policy so far: best by the reward that is learned from."""
+    return_weighted: float = -1.0
+    """`return_weighted` of the same policy."""
 
 
 @dataclass
@@ -164,8 +164,9 @@ class Session:
         origin = self.provenance | {"seed": self.config.seed, "samples": self.samples, **returns}
         names = ["last"]
         # No undisturbed return tells which policy is the most robust: under disturbances, it is the last.
-        if returns["return_weighted"] > self.counters.best_return or self.config.walk.disturbance.active:
-            self.counters.best_return, self.counters.return_plain = returns["return_weighted"], returns["return_plain"]
+        goal, counters = f"return_{self.config.walk.reward}", self.counters
+        if returns[goal] > getattr(counters, goal) or self.config.walk.disturbance.active:
+            counters.return_plain, counters.return_weighted = returns["return_plain"], returns["return_weighted"]
             names.append("best")
         for name in names:
             save_policy(self.folder / f"{name}.npz", policy, self.motion, self.factor, self.config.walk.damping, origin)
@@ -208,10 +209,10 @@ class Session:
         )
 
     def _conclude(self) -> None:
-        best = self.folder / "best.npz"
+        best, counters = self.folder / "best.npz", self.counters
         self.terminal.say(
-            f"Done: a return of {self.counters.best_return:.1f} of 300 by the weighted reward, "
-            f"{self.counters.return_plain:.1f} by the plain one, after {self.counters.train_s:.0f} s of training.\n"
+            f"Done: a return of {counters.return_plain:.1f} of 300 by the plain reward, "
+            f"{counters.return_weighted:.1f} by the weighted one, after {counters.train_s:.0f} s of training.\n"
             f"The policy: {best}\n"
             f"Next: python -m cassie_mjx.evaluate policy={best}"
         )

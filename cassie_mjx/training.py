@@ -165,10 +165,11 @@ class Trainer:
         Without a policy the learner knows no input statistics yet; see `gather_statistics`.
         """
         init_key, reset_key, _, run_key = self._keys()
-        state = learner.init(init_key, self.config.ppo, observation.SIZE, robot.NU)
-        if policy is not None:
-            state = state._replace(policy=policy)
         env_state = self.env.reset(reset_key)
+        sizes = (observation.SIZE, robot.NU, env_state.privileged.shape[-1])
+        state = learner.init(init_key, self.config.ppo, *sizes)
+        if policy is not None:
+            state = state._replace(policy=policy._replace(std=state.policy.std))
         if self.config.physics == "mjx":
             env_state = jax.tree.map(jnp.asarray, env_state)
         return self._placed(RunState(state, env_state, jax.random.key_data(run_key)))

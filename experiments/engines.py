@@ -59,7 +59,7 @@ def main(config: EnginesConfig) -> None:
     out = cli.check_writable(config.out)
     policies = {run: NumpyPolicy.load(Path(run) / "best.npz") for run in config.runs}
     held = {run: json.loads((Path(run) / "config.json").read_text()) for run in config.runs}
-    task = WalkConfig(early_end_reward=None, episode_steps=EPISODE_STEPS)
+    task = WalkConfig(episode_steps=EPISODE_STEPS).to_the_fall()
     rows: list[dict[str, Any]] = []
     for rate in config.rates:
         for engine, physics in engines(rate).items():

@@ -59,14 +59,25 @@ class Variant:
 
 
 ACTOR, CRITIC = "ppo.actor_learning_rate", "ppo.critic_learning_rate"
-PAPER = {"ppo": "paper", "walk.reward": "plain", ACTOR: "1e-3", CRITIC: "1e-2"}
+PAPER = {
+    "ppo": "paper",
+    "walk.reward": "plain",
+    "walk.early_end_reward": "0.6",
+    "walk.x_limit_m": "null",
+    ACTOR: "1e-3",
+    CRITIC: "1e-2",
+}
 DEFAULT = Variant("1x", {})
 
 STUDIES = {
     "walking": (replace(DEFAULT, seeds=(0, 1, 2, 3, 4)),),
     "reward": (DEFAULT, Variant("1x-plain", {"walk.reward": "plain"})),
     "rate": (DEFAULT, Variant("1x-1000hz", {"physics_hz": "1000"})),
-    "learning_speeds": (DEFAULT, *(Variant(speed, {"speed": speed}) for speed in ("0x", "2x", "3x", "4x", "any"))),
+    "learning_speeds": (
+        DEFAULT,
+        *(Variant(speed, {"speed": speed, "init": "1x"}) for speed in ("0x", "2x", "3x", "4x", "any")),
+    ),
+    "warm_start": (Variant("4x", {"speed": "4x", "init": "1x"}), Variant("4x-from-scratch", {"speed": "4x"}, (0,))),
     # What the paper prints, a tenth of its step sizes, and readings that differ from the printed one in a single point.
     "paper": (
         Variant("paper-printed", PAPER),
@@ -123,7 +134,9 @@ def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
     """
     held = json.loads((folder / "config.json").read_text())
     wanted = expected(variant) | {"seed": seed}
-    wrong = [f"{key}={held['config'].get(key)}" for key, value in wanted.items() if held["config"].get(key) != value]
+    # What a run's configuration does not name did not exist when it was made, and every such thing can be switched off.
+    found = {key: held["config"].get(key, value) for key, value in wanted.items()}
+    wrong = [f"{key}={found[key]}" for key, value in wanted.items() if found[key] != value]
     if wrong:
         raise ValueError(f"{folder} was trained with {', '.join(wrong)}, unlike {variant.name}; move it away.")
     lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]

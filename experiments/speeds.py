@@ -60,7 +60,7 @@ def profile(seed: int) -> np.ndarray:
 
 def follow(policy: PolicySubject, factors: np.ndarray, starts: int = STARTS) -> Ride:
     """Walk from `starts` phases of the stride, told a factor [T] on the motion's speed at every control step."""
-    task = WalkConfig(early_end_reward=None, episode_steps=len(factors) + 1, damping=policy.damping)
+    task = WalkConfig(episode_steps=len(factors) + 1, damping=policy.damping).to_the_fall()
     env = WalkEnv(NativePhysics(load(ModelConfig()), damping=policy.damping), policy.motion, task, starts)
     phase = nearest_sample(np.arange(starts) / starts, env.samples) % env.samples
     state = env.reset_at(phase, Disturbance.none(starts), np.full(starts, factors[0]))

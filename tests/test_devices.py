@@ -94,6 +94,8 @@ class Points(NamedTuple):
 
     observation: Any
     final_observation: Any
+    privileged: Any
+    final_privileged: Any
     reward: Any
     terminated: Any
     truncated: Any
@@ -102,7 +104,9 @@ class Points(NamedTuple):
 
 def points(position):
     ended = jnp.zeros(len(position), bool)
-    return Points(position, position, -jnp.square(position).sum(axis=1), ended, ended, {})
+    return Points(
+        position, position, position[:, :0], position[:, :0], -jnp.square(position).sum(axis=1), ended, ended, {}
+    )
 
 
 def step(state, action, key):

@@ -90,7 +90,7 @@ def test_a_push_over_is_followed_by_the_next_and_an_episode_over_by_all_anew():
 
 def test_pushes_act_when_and_as_drawn_one_after_the_other(hills, motion):
     config = DisturbanceConfig(push_n=50, push_pause_s=0.032)
-    env = make(hills, motion, config, early_end_reward=None)
+    env = make(hills, motion, config, early_end_reward=None, x_limit_m=None)
     state = env.reset(jax.random.key(3))
     pushes = []
     for i in range(10):

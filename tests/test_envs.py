@@ -146,14 +146,27 @@ def test_episodes_end_by_falls_low_rewards_and_length(native, motion):
             ends.append((np.asarray(state.terminated), np.asarray(state.truncated), np.asarray(state.reward)))
         return [np.array(x) for x in zip(*ends, strict=True)], state
 
-    (terminated, truncated, rewards), _ = run(WalkConfig(), 40)
+    (terminated, truncated, rewards), _ = run(WalkConfig(early_end_reward=0.6), 40)
     assert terminated.any(), "the reference angles alone do not walk"
     assert (rewards[terminated] < 0.6).all()
-    (late, _, _), _ = run(WalkConfig(early_end_reward=None), 40)
+    (late, _, _), _ = run(WalkConfig().to_the_fall(), 40)
     assert late.argmax(axis=0).min() > terminated.argmax(axis=0).min(), "without the early end only a fall ends"
     (terminated, truncated, _), state = run(WalkConfig(episode_steps=3), 3)
     assert truncated[-1].sum() == ROBOTS - terminated.any(axis=0).sum()
     assert (np.asarray(state.clock.step)[truncated[-1]] == 0).all()
+
+
+def test_robots_far_from_the_reference_end_their_episode_and_the_critic_is_told_how_far(native, motion):
+    env = WalkEnv(native, motion, WalkConfig(early_end_reward=None, x_limit_m=0.3), ROBOTS)
+    state = env.reset_at(jnp.zeros(ROBOTS, jnp.int32), Disturbance.none(ROBOTS))
+    np.testing.assert_array_equal(state.privileged, np.zeros((ROBOTS, 1)))
+    moved = np.linspace(-0.6, 0.6, ROBOTS)
+    state.physics.qpos[:, 0] += moved
+    after = env.step(state, np.zeros((ROBOTS, 10)), jax.random.key(0))
+    ended = np.asarray(after.terminated)
+    np.testing.assert_array_equal(ended, abs(moved) > 0.3)
+    np.testing.assert_allclose(after.final_privileged[:, 0], moved / 0.25, atol=0.05)
+    np.testing.assert_array_equal(after.privileged, np.where(ended[:, None], 0, after.final_privileged))
 
 
 def test_a_nan_ends_its_episode_and_is_counted(env):
@@ -187,6 +200,8 @@ def test_bad_configurations():
         WalkConfig(reward="sparse")
     with pytest.raises(ValueError, match="early_end_reward=1.5 must be"):
         WalkConfig(early_end_reward=1.5)
+    with pytest.raises(ValueError, match="x_limit_m=0 must be greater than 0, or null"):
+        WalkConfig(x_limit_m=0)
     with pytest.raises(ValueError, match="episode_steps=0 must be at least 1"):
         WalkConfig(episode_steps=0)
 

@@ -103,7 +103,7 @@ def test_log_prob_is_that_of_a_gaussian():
 def test_samples_have_the_mean_and_spread_asked_for_and_their_own_log_density():
     policy = _policy(output_scale=1.0)
     observation = jnp.broadcast_to(jnp.array([1.0, -2.0, 0.5]), (100_000, 3))
-    action, log_prob = networks.sample(policy, observation, 0.5, jax.random.key(1))
+    action, log_prob = networks.sample(policy, observation, jax.random.key(1))
     mean = networks.mode(policy, observation)
     np.testing.assert_allclose(action.mean(axis=0), mean[0], atol=0.01)
     np.testing.assert_allclose(action.std(axis=0), 0.5, rtol=0.01)
@@ -148,4 +148,5 @@ def test_normalize_floors_the_spread_and_clips():
 
 
 def _policy(output_scale):
-    return Policy(normalizer.init(3), networks.init(jax.random.key(0), 3, (16, 16), 2, output_scale))
+    actor = networks.init(jax.random.key(0), 3, (16, 16), 2, output_scale)
+    return Policy(normalizer.init(3), actor, std=jnp.asarray(0.5))

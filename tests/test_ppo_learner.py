@@ -28,7 +28,7 @@ def make_rollout(config: PPOConfig, state: learner.LearnerState, seed: int = 0) 
     """Noise in place of an environment: 5 inputs, 3 actions, one end in ten of either kind."""
     rng, shape = np.random.default_rng(seed), (config.num_steps, config.num_robots)
     observation = jnp.asarray(rng.normal(size=(*shape, 5)), jnp.float32)
-    action, log_prob = networks.sample(state.policy, observation, config.action_std, jax.random.key(seed))
+    action, log_prob = networks.sample(state.policy, observation, jax.random.key(seed))
     return Rollout(
         observation=observation,
         action=action,
@@ -37,12 +37,14 @@ def make_rollout(config: PPOConfig, state: learner.LearnerState, seed: int = 0) 
         terminated=jnp.asarray(rng.random(shape) < 0.1),
         truncated=jnp.asarray(rng.random(shape) < 0.1),
         final_observation=jnp.asarray(rng.normal(size=(*shape, 5)), jnp.float32),
+        privileged=jnp.asarray(rng.normal(size=(*shape, 2)), jnp.float32),
+        final_privileged=jnp.asarray(rng.normal(size=(*shape, 2)), jnp.float32),
         metrics={},
     )
 
 
 def updated(config: PPOConfig) -> tuple[learner.LearnerState, learner.LearnerState, learner.UpdateMetrics]:
-    before = learner.init(jax.random.key(0), config, 5, 3)
+    before = learner.init(jax.random.key(0), config, 5, 3, 2)
     after, metrics = learner.update(config, before, make_rollout(config, before), jax.random.key(1))
     return before, after, metrics
 
@@ -50,7 +52,7 @@ def updated(config: PPOConfig) -> tuple[learner.LearnerState, learner.LearnerSta
 @pytest.mark.parametrize("best", [0.5, -0.5])
 def test_bandit_moves_towards_the_better_arm(best):
     config = replace(CONFIG, num_robots=256, num_steps=1, minibatch_size=256, target_kl=None, actor_learning_rate=3e-3)
-    state = learner.init(jax.random.key(0), config, 5, 3)
+    state = learner.init(jax.random.key(0), config, 5, 3, 2)
     for iteration in range(10):
         pulls = make_rollout(config, state, seed=iteration)
         reward = -jnp.square(pulls.action - best).sum(axis=-1)
@@ -59,6 +61,19 @@ def test_bandit_moves_towards_the_better_arm(best):
     observation = jnp.asarray(np.random.default_rng(0).normal(size=(256, 5)), jnp.float32)
     mean = networks.mode(state.policy, observation).mean(axis=0)
     assert (np.sign(best) * mean > 0.1).all()
+
+
+@pytest.mark.parametrize("privileged", [True, False])
+def test_a_critic_learns_what_only_it_can_see_if_it_may(privileged):
+    config = replace(CONFIG, privileged_critic=privileged, critic_learning_rate=1e-2, updates_per_iteration=200)
+    state = learner.init(jax.random.key(0), config, 5, 3, 2)
+    lived = make_rollout(config, state)
+    ended = jnp.ones_like(lived.terminated)
+    lived = lived._replace(observation=jnp.zeros_like(lived.observation), terminated=ended, truncated=~ended)
+    lived = lived._replace(reward=lived.privileged[..., 0])
+    learned, _ = learner.update(config, state, lived, jax.random.key(1))
+    _, metrics = learner.update(config, learned, lived, jax.random.key(2))
+    assert (metrics.explained_variance > 0.9) == privileged
 
 
 def test_adams_first_step_is_as_long_as_the_learning_rate():
@@ -94,9 +109,19 @@ def test_same_key_same_bits():
 )
 def test_schedules(schedule, iteration, factor):
     config = replace(CONFIG, iterations=200, actor_schedule=schedule, critic_schedule=schedule)
-    state = learner.init(jax.random.key(0), config, 5, 3)
+    state = learner.init(jax.random.key(0), config, 5, 3, 2)
     state = state._replace(iteration=jnp.asarray(iteration), step_factor=jnp.asarray(0.5))
     np.testing.assert_allclose(learner.learning_rates(config, state), (3e-4 * factor * 0.5, 1e-3 * factor), rtol=1e-5)
+
+
+def test_noise_goes_from_its_first_width_to_its_last():
+    config = replace(CONFIG, iterations=2, action_std=0.2, final_action_std=0.1)
+    state, widths = learner.init(jax.random.key(0), config, 5, 3, 2), []
+    for seed in range(3):
+        lived = make_rollout(config, state, seed)
+        widths.append(float(jnp.std(lived.action - networks.mode(state.policy, lived.observation))))
+        state, _ = learner.update(config, state, lived, jax.random.key(seed))
+    np.testing.assert_allclose([*widths, state.policy.std], [0.2, 0.15, 0.1, 0.1], rtol=0.15)
 
 
 def test_actor_step_size_follows_the_kl_divergence():
@@ -112,6 +137,7 @@ def test_actor_step_size_follows_the_kl_divergence():
         {"updates_per_iteration": 5},
         {"minibatch_size": 16},
         {"hidden_sizes": (16, 16)},
+        {"privileged_critic": False},
         {"actor_output_scale": 1.0},
         {"action_std": 0.2},
         {"gamma": 0.9},
@@ -142,7 +168,7 @@ def test_every_sample_is_used_equally_often_to_within_one():
 
 
 def test_rollout_of_another_size_is_refused():
-    state = learner.init(jax.random.key(0), CONFIG, 5, 3)
+    state = learner.init(jax.random.key(0), CONFIG, 5, 3, 2)
     rollout = make_rollout(replace(CONFIG, num_robots=9), state)
     with pytest.raises(ValueError, match=r"The rollout is \(8, 9\) steps x robots; .* call for \(8, 8\) a device\."):
         learner.update(CONFIG, state, rollout, jax.random.key(1))
@@ -163,7 +189,7 @@ from test_ppo_learner import CONFIG, make_rollout
 
 # A minibatch is the whole batch, so that how each device shuffles its own robots does not matter.
 config = replace(CONFIG, minibatch_size=CONFIG.num_samples)
-state = learner.init(jax.random.key(0), config, 5, 3)
+state = learner.init(jax.random.key(0), config, 5, 3, 2)
 rollout, key = make_rollout(config, state), jax.random.key(1)
 mesh = jax.make_mesh((2,), ("devices",), axis_types=(AxisType.Auto,))
 share = partial(jax.shard_map, mesh=mesh, out_specs=P(), check_vma=False)

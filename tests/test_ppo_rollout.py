@@ -26,6 +26,7 @@ CONFIG = PPOConfig(
     actor_learning_rate=3e-3,
     critic_learning_rate=3e-3,
     normalizer_samples=2000,
+    final_action_std=0.134,
 )
 
 
@@ -37,6 +38,8 @@ class PointState(NamedTuple):
     terminated: Any
     truncated: Any
     final_observation: Any
+    privileged: Any
+    final_privileged: Any
     metrics: Any
 
 
@@ -47,7 +50,9 @@ def start(key):
 def reset(xp, key):
     position, none = xp.asarray(start(key)), xp.zeros(ROBOTS, bool)
     zero = xp.zeros(ROBOTS, xp.float32)
-    return PointState(position, xp.zeros(ROBOTS, xp.int32), position, zero, none, none, position, {"distance": zero})
+    age = xp.zeros(ROBOTS, xp.int32)
+    old = age[:, None]
+    return PointState(position, age, position, zero, none, none, position, old, old, {"distance": zero})
 
 
 def step(xp, state, action, key):
@@ -59,7 +64,8 @@ def step(xp, state, action, key):
     ended = terminated | truncated
     position = xp.where(ended[:, None], xp.asarray(start(key)), reached)
     age = xp.where(ended, 0, state.age + 1).astype(xp.int32)
-    return PointState(position, age, position, 1 - squares, terminated, truncated, reached, {"distance": squares**0.5})
+    ages, distance = (age[:, None], (state.age + 1)[:, None]), {"distance": squares**0.5}
+    return PointState(position, age, position, 1 - squares, terminated, truncated, reached, *ages, distance)
 
 
 # One object each: `collect` compiles once per `step` it is given.
@@ -73,7 +79,7 @@ LOOPS = ("scan", "host")
 
 def train(loop: str, seed: int) -> tuple[learner.LearnerState, list[learner.UpdateMetrics]]:
     init_key, reset_key, statistics_key, run_key = jax.random.split(jax.random.key(seed), 4)
-    state = learner.init(init_key, CONFIG, 2, 2)
+    state = learner.init(init_key, CONFIG, 2, 2, 1)
     env_state = RESET[loop](reset_key)
     normalizer = rollout.random_policy_statistics(
         COLLECT[loop], state.policy, env_state, statistics_key, CONFIG.normalizer_samples
@@ -111,6 +117,8 @@ def test_final_observation_is_the_one_before_the_reset(rollouts, loop):
     np.testing.assert_array_equal((abs(lived.final_observation) > REACH).any(axis=-1), lived.terminated)
     follows = (lived.final_observation[:-1] == lived.observation[1:]).all(axis=-1)
     np.testing.assert_array_equal(follows, ~ended[:-1])
+    np.testing.assert_array_equal(lived.final_privileged, lived.privileged + 1)
+    np.testing.assert_array_equal(lived.privileged[1:, :, 0] == 0, ended[:-1])
 
 
 @pytest.mark.parametrize("loop", LOOPS)

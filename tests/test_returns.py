@@ -19,7 +19,7 @@ class Scripted:
     def __init__(self, robots, steps=8, early_end=None):
         self.phase = np.zeros(robots, int)
         self.robots, self.samples = robots, 22
-        self.config = WalkConfig(early_end_reward=early_end, episode_steps=steps)
+        self.config = WalkConfig(early_end_reward=early_end, x_limit_m=None, episode_steps=steps)
 
     def reset_at(self, phase, disturbance):
         self.phase, self.steps, self.disturbance = phase, 0, disturbance
@@ -70,14 +70,14 @@ def test_a_disturbance_acts_from_the_start():
 
 
 def test_early_ends_are_refused():
-    with pytest.raises(ValueError, match="early_end_reward=None"):
+    with pytest.raises(ValueError, match="without early ends"):
         walk_returns(act, scripted(3, early_end=0.6))
 
 
 def test_the_referee_is_mujoco_c_at_2_khz_and_a_limp_robot_falls_there():
     env = referee(reference.resolve("walk"))
     assert env.physics.model.opt.timestep == 1 / 2000
-    assert (env.robots, env.config.episode_steps, env.config.early_end_reward) == (STARTS, 300, None)
+    assert (env.robots, env.config.episode_steps, env.config.ends_early) == (STARTS, 300, False)
     returns = walk_returns(lambda seen: np.full((len(seen), 10), [0, 0, 1, 1, 1] * 2), env)
     assert 1 < returns["steps"] < 60
     assert 0 < returns["return_weighted"] < returns["return_plain"] < returns["steps"] + 1

@@ -36,8 +36,12 @@ class WalkState:
       clock: where they are along the reference motion.
       observation: what the policy acts on next, [B, 80].
       final_observation: what the last step led to, before any reset, [B, 80].
+      privileged: what no robot senses but a critic may see, [B, 1]: how far it is ahead of the reference motion, in
+        units of 0.25 m, within +-10.
+      final_privileged: the same before any reset, [B, 1].
       reward: of the last step, [B], 0 to 1.
-      terminated: the last step ended the episode in a fall, a NaN or too low a reward, [B], bool.
+      terminated: the last step ended the episode in a fall, a NaN, too low a reward or too far from the
+        reference, [B], bool.
       truncated: the last step was the last of a full-length episode, [B], bool.
       metrics: of the last step, each [B]: the unweighted reward terms, `plain` and `weighted` rewards, `nan`, `fallen`.
     """
@@ -47,6 +51,8 @@ class WalkState:
     clock: Clock
     observation: Array
     final_observation: Array
+    privileged: Array
+    final_privileged: Array
     reward: Array
     terminated: Array
     truncated: Array

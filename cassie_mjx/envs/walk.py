@@ -26,8 +26,12 @@ class WalkConfig:
 
     reward: str = "weighted"
     """Reward to learn from: "plain" (the paper's) or "weighted" (the later code's); both are always measured."""
-    early_end_reward: float | None = 0.6
-    """A step's reward below which an episode ends, a device of training; null ends it by a fall alone."""
+    early_end_reward: float | None = 0.4
+    """A step's reward below which an episode ends, a device of training; null for none."""
+    x_limit_m: float | None = 0.5
+    """How far ahead of the reference motion or behind it an episode ends, m, a device of training; null for nowhere.
+
+    Without it robots that are told to walk fast learn to do without the position's share of the reward."""
     episode_steps: int = 300
     """Control steps of a full episode; 300 are 9.6 s."""
     damping: float = 1.0
@@ -41,16 +45,28 @@ class WalkConfig:
             raise ValueError(f"reward={self.reward!r} is not known; choose one of {', '.join(reward.SCALES)}.")
         if self.early_end_reward is not None and not 0 <= self.early_end_reward < 1:
             raise ValueError(f"early_end_reward={self.early_end_reward} must be from 0 to below 1, or null.")
+        if self.x_limit_m is not None and not self.x_limit_m > 0:
+            raise ValueError(f"x_limit_m={self.x_limit_m} must be greater than 0, or null.")
         if self.episode_steps < 1:
             raise ValueError(f"episode_steps={self.episode_steps} must be at least 1.")
         if not 0 <= self.damping <= 1:
             raise ValueError(f"damping={self.damping} must be from 0 to 1.")
+
+    @property
+    def ends_early(self) -> bool:
+        """Whether an episode can end without a fall before its time."""
+        return self.early_end_reward is not None or self.x_limit_m is not None
+
+    def to_the_fall(self) -> "WalkConfig":
+        """The same task, but an episode ends by a fall or the time limit alone."""
+        return replace(self, early_end_reward=None, x_limit_m=None)
 
 
 WALK_PRESETS = {
     "undisturbed": WalkConfig(),
     "robust": WalkConfig(
         early_end_reward=0.3,
+        x_limit_m=None,
         damping=0.3,
         disturbance=DisturbanceConfig(push_n=250, terrain_m=0.25, delay_s=0.01),
     ),
@@ -61,6 +77,10 @@ T = TypeVar("T")
 
 # What the key of a step or reset is folded with for disturbances and for speeds; as it is, it draws phases.
 _DISTURBANCE_KEY, _SPEED_KEY = 1, 2
+
+
+# Unit in which a critic is told how far a robot is ahead: about what is usual in training.
+LEAD_M = 0.25
 
 
 class _Judgement(NamedTuple):
@@ -135,7 +155,8 @@ class WalkEnv:
         zeros = jnp.zeros(len(phase))
         ended = jnp.zeros(len(phase), bool)
         metrics = {name: zeros for name in (*_METRICS, *reward.Terms._fields)}
-        return WalkState(physics, disturbance, clock, seen, seen, zeros, ended, ended, metrics)
+        level = zeros[:, None]
+        return WalkState(physics, disturbance, clock, seen, seen, level, level, zeros, ended, ended, metrics)
 
     def step(self, state: WalkState, action: Array, key: jax.Array) -> WalkState:
         """One control step of 32 ms; robots whose episode ends start anew at a phase and speed drawn with `key`.
@@ -218,8 +239,11 @@ class WalkEnv:
         earned = rewards[self.config.reward]
         height = walked[:, 2]
         fallen = nan | (height < robot.FALL_LOW_M) | (height > robot.FALL_HIGH_M)
+        lead = (walked - reference)[:, 0]
+        privileged = jnp.clip(lead / LEAD_M, -10, 10)[:, None]
         low = jnp.zeros_like(nan) if self.config.early_end_reward is None else earned < self.config.early_end_reward
-        terminated = fallen | low
+        left = jnp.zeros_like(nan) if self.config.x_limit_m is None else abs(lead) > self.config.x_limit_m
+        terminated = fallen | low | left
         truncated = ~terminated & (clock.step >= self.config.episode_steps)
 
         ended = terminated | truncated
@@ -235,6 +259,8 @@ class WalkEnv:
                 "clock": merge(ended, fresh_clock, clock),
                 "observation": merge(ended, fresh_seen, seen),
                 "final_observation": seen,
+                "privileged": jnp.where(ended[:, None], 0.0, privileged),
+                "final_privileged": privileged,
                 "reward": earned,
                 "terminated": terminated,
                 "truncated": truncated,

@@ -35,14 +35,19 @@ class _Losses(NamedTuple):
 
 class _Batch(NamedTuple):
     inputs: Float[Array, "N O"]
+    critic_inputs: Float[Array, "N C"]
     action: Float[Array, "N A"]
     log_prob: Float[Array, " N"]
     advantage: Float[Array, " N"]
     value_target: Float[Array, " N"]
 
 
-def init(key: Key[Array, ""], config: PPOConfig, observation_size: int, action_size: int) -> LearnerState:
+def init(
+    key: Key[Array, ""], config: PPOConfig, observation_size: int, action_size: int, privileged_size: int = 0
+) -> LearnerState:
     """Draw an untrained learner, whose normaliser has seen nothing yet.
+
+    With `config.privileged_critic` the critic has `privileged_size` inputs besides the observation.
 
     Raises:
         ValueError: a size is not positive.
@@ -51,9 +56,10 @@ def init(key: Key[Array, ""], config: PPOConfig, observation_size: int, action_s
         raise ValueError(f"Sizes must be at least 1, not {observation_size} (observation) and {action_size} (action).")
     actor_key, critic_key = jax.random.split(key)
     actor = networks.init(actor_key, observation_size, config.hidden_sizes, action_size, config.actor_output_scale)
-    critic = networks.init(critic_key, observation_size, config.hidden_sizes, 1)
+    critic_size = observation_size + config.privileged_critic * privileged_size
+    critic = networks.init(critic_key, critic_size, config.hidden_sizes, 1)
     return LearnerState(
-        policy=Policy(normalizer.init(observation_size), actor),
+        policy=Policy(normalizer.init(observation_size), actor, jnp.float32(config.action_std)),
         critic=critic,
         actor_optimizer=_actor_optimizer(config).init(actor),
         critic_optimizer=_critic_optimizer(config).init(critic),
@@ -98,7 +104,7 @@ def update(
     rows = _shuffled_rows(key, batch.log_prob.shape[0], config.updates_per_iteration, minibatch_size)
     trained, losses = jax.lax.scan(train_on, state, rows)
 
-    log_prob = _log_prob(trained.policy.actor, batch, config)
+    log_prob = _log_prob(trained.policy, batch)
     local = {
         "reward": rollout.reward.mean(),
         "terminated": rollout.terminated.mean(dtype=log_prob.dtype),
@@ -114,8 +120,9 @@ def update(
         actor_learning_rate=rates.actor,
         critic_learning_rate=rates.critic,
     )
-    step_factor = _adapt(config, state, metrics.kl)
-    return trained._replace(step_factor=step_factor, iteration=state.iteration + 1), metrics
+    iteration = state.iteration + 1
+    policy = trained.policy._replace(std=action_std(config, iteration))
+    return trained._replace(policy=policy, step_factor=_adapt(config, state, metrics.kl), iteration=iteration), metrics
 
 
 def check_devices(config: PPOConfig, devices: int) -> None:
@@ -130,6 +137,12 @@ def learning_rates(config: PPOConfig, state: LearnerState) -> LearningRates:
     actor_rate = config.actor_learning_rate * _schedule(config, config.actor_schedule, state.iteration)
     critic_rate = config.critic_learning_rate * _schedule(config, config.critic_schedule, state.iteration)
     return LearningRates(actor_rate * state.step_factor, critic_rate)
+
+
+def action_std(config: PPOConfig, iteration: Int[Array, ""]) -> Float[Array, ""]:
+    """Return the standard deviation of the exploration noise in an iteration."""
+    done = jnp.minimum(iteration / config.iterations, 1.0)
+    return (1 - done) * config.action_std + done * config.final_action_std
 
 
 def _schedule(config: PPOConfig, name: str, iteration: Int[Array, ""]) -> Float[Array, ""]:
@@ -158,16 +171,23 @@ def _prepare(
 ) -> tuple[_Batch, Float[Array, ""]]:
     inputs = normalizer.normalize(state.policy.normalizer, rollout.observation)
     final_inputs = normalizer.normalize(state.policy.normalizer, rollout.final_observation)
-    value = networks.critic_value(state.critic, inputs)
-    next_value = networks.critic_value(state.critic, final_inputs)
+    critic_inputs = _critic_inputs(config, inputs, rollout.privileged)
+    value = networks.critic_value(state.critic, critic_inputs)
+    next_value = networks.critic_value(state.critic, _critic_inputs(config, final_inputs, rollout.final_privileged))
     advantage, value_target = generalized_advantage(
         rollout.reward, value, next_value, rollout.terminated, rollout.truncated, config.gamma, config.gae_lambda
     )
     explained_variance = loss.explained_variance(value, value_target, axis_name)
     if config.normalize_advantage:
         advantage = standardize(advantage, axis_name)
-    batch = _Batch(inputs, rollout.action, rollout.log_prob, advantage, value_target)
+    batch = _Batch(inputs, critic_inputs, rollout.action, rollout.log_prob, advantage, value_target)
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), batch), explained_variance
+
+
+def _critic_inputs(
+    config: PPOConfig, inputs: Float[Array, "T B O"], privileged: Float[Array, "T B P"]
+) -> Float[Array, "T B C"]:
+    return jnp.concatenate([inputs, privileged], axis=-1) if config.privileged_critic else inputs
 
 
 def _shuffled_rows(key: Key[Array, ""], samples: int, updates: int, size: int) -> Int[Array, "updates size"]:
@@ -180,7 +200,7 @@ def _shuffled_rows(key: Key[Array, ""], samples: int, updates: int, size: int) -
 def _train(
     config: PPOConfig, state: LearnerState, minibatch: _Batch, rates: LearningRates, axis_name: str | None
 ) -> tuple[LearnerState, _Losses]:
-    actor_loss, actor_gradient = jax.value_and_grad(_actor_loss)(state.policy.actor, minibatch, config)
+    actor_loss, actor_gradient = jax.value_and_grad(_actor_loss)(state.policy.actor, state.policy, minibatch, config)
     critic_loss, critic_gradient = jax.value_and_grad(_critic_loss)(state.critic, minibatch)
     actor_gradient, critic_gradient = average((actor_gradient, critic_gradient), axis_name)
 
@@ -195,17 +215,17 @@ def _train(
     return trained, _Losses(actor_loss, critic_loss)
 
 
-def _log_prob(actor: Params, batch: _Batch, config: PPOConfig) -> Float[Array, " N"]:
-    return networks.log_prob(networks.actor_mean(actor, batch.inputs), config.action_std, batch.action)
+def _log_prob(policy: Policy, batch: _Batch) -> Float[Array, " N"]:
+    return networks.log_prob(networks.actor_mean(policy.actor, batch.inputs), policy.std, batch.action)
 
 
-def _actor_loss(actor: Params, batch: _Batch, config: PPOConfig) -> Float[Array, ""]:
-    log_prob = _log_prob(actor, batch, config)
+def _actor_loss(actor: Params, policy: Policy, batch: _Batch, config: PPOConfig) -> Float[Array, ""]:
+    log_prob = _log_prob(policy._replace(actor=actor), batch)
     return loss.clipped_surrogate(log_prob, batch.log_prob, batch.advantage, config.clip_epsilon)
 
 
 def _critic_loss(critic: Params, batch: _Batch) -> Float[Array, ""]:
-    return loss.squared_error(networks.critic_value(critic, batch.inputs), batch.value_target)
+    return loss.squared_error(networks.critic_value(critic, batch.critic_inputs), batch.value_target)
 
 
 def _actor_optimizer(config: PPOConfig) -> optax.GradientTransformation:

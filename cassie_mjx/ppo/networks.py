@@ -1,4 +1,4 @@
-"""Actor and critic, and the Gaussian policy of fixed width that the actor is the mean of."""
+"""Actor and critic, and the Gaussian policy that the actor is the mean of."""
 
 import math
 from typing import cast
@@ -59,22 +59,21 @@ def mode(policy: Policy, observation: Float[Array, "*batch O"]) -> Float[Array, 
 
 
 def sample(
-    policy: Policy, observation: Float[Array, "*batch O"], std: float | Float[Array, ""], key: Key[Array, ""]
+    policy: Policy, observation: Float[Array, "*batch O"], key: Key[Array, ""]
 ) -> tuple[Float[Array, "*batch A"], Float[Array, "*batch"]]:
     """Draw an action, mean + std x noise; the noise is not squashed, so an action may leave +-1.
 
     Args:
-        policy: normaliser and actor.
+        policy: normaliser, actor and width.
         observation: as the environment gives it.
-        std: standard deviation of every action, rad.
         key: used up here.
 
     Returns:
         The action and its log density.
     """
     mean = mode(policy, observation)
-    action = mean + std * jax.random.normal(key, mean.shape, mean.dtype)
-    return action, log_prob(mean, std, action)
+    action = mean + policy.std * jax.random.normal(key, mean.shape, mean.dtype)
+    return action, log_prob(mean, policy.std, action)
 
 
 def log_prob(

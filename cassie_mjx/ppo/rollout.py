@@ -27,7 +27,7 @@ def collect(step: Step, config: PPOConfig, policy: Policy, env_state: Any, key: 
 
     Args:
         step: the environment; compiled, so it must be a pure JAX function, and the same object on every call.
-        config: gives the number of steps and the exploration noise.
+        config: gives the number of steps.
         policy: what chooses the actions.
         env_state: where the robots are (`types.EnvState`).
         key: used up here.
@@ -37,7 +37,7 @@ def collect(step: Step, config: PPOConfig, policy: Policy, env_state: Any, key: 
     """
 
     def one_step(env_state: Any, step_key: Key[Array, ""]) -> tuple[Any, Rollout]:
-        action, log_prob, env_key = _act(policy, env_state.observation, config.action_std, step_key)
+        action, log_prob, env_key = _act(policy, env_state.observation, step_key)
         after = step(env_state, action, env_key)
         return after, _record(env_state, action, log_prob, after)
 
@@ -56,7 +56,7 @@ def collect_on_host(
     _check_width(policy, env_state)
     rows = []
     for step_key in jax.random.split(key, config.num_steps):
-        action, log_prob, env_key = _act_compiled(policy, env_state.observation, config.action_std, step_key)
+        action, log_prob, env_key = _act_compiled(policy, env_state.observation, step_key)
         action = np.asarray(action)
         after = step(env_state, action, env_key)
         rows.append(_record(env_state, action, log_prob, after))
@@ -89,10 +89,10 @@ def random_policy_statistics(
 
 
 def _act(
-    policy: Policy, observation: Float[Array, "B O"], std: float | Float[Array, ""], key: Key[Array, ""]
+    policy: Policy, observation: Float[Array, "B O"], key: Key[Array, ""]
 ) -> tuple[Float[Array, "B A"], Float[Array, " B"], Key[Array, ""]]:
     action_key, env_key = jax.random.split(key)
-    action, log_prob = networks.sample(policy, observation, std, action_key)
+    action, log_prob = networks.sample(policy, observation, action_key)
     return action, log_prob, env_key
 
 
@@ -109,6 +109,8 @@ def _record(before: EnvState, action: Any, log_prob: Any, after: EnvState) -> Ro
         terminated=after.terminated,
         truncated=after.truncated,
         final_observation=after.final_observation,
+        privileged=before.privileged,
+        final_privileged=after.final_privileged,
         metrics=after.metrics,
     )
 

@@ -1,6 +1,7 @@
 """What the learner passes around: pytrees with a shape on every field.
 
-Axes: T control steps, B robots, O observation, A action. Arrays are float32 where nothing else is said.
+Axes: T control steps, B robots, O observation, P privileged state, A action. Arrays are float32 where nothing else is
+said.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,13 +20,17 @@ class EnvState(Protocol):
 
     One state describes B robots. After a step, a robot whose episode ended has already been reset: `observation` is
     then the first of the new episode, and `final_observation` the last of the old. For every other robot the two are
-    equal.
+    equal. So it is with `privileged` and `final_privileged`.
     """
 
     observation: Any
     """[B, O] what the policy acts on next."""
     final_observation: Any
     """[B, O] what the last step led to, before any reset."""
+    privileged: Any
+    """[B, P] what only a critic sees, scaled to the order of 1; P may be 0."""
+    final_privileged: Any
+    """[B, P] the same after the last step, before any reset."""
     reward: Any
     """[B] reward of the last step."""
     terminated: Any
@@ -55,10 +60,12 @@ class Normalizer(NamedTuple):
 
 
 class Policy(NamedTuple):
-    """All that acting needs, and all that a saved policy has to hold."""
+    """All that acting needs."""
 
     normalizer: Normalizer
     actor: Params
+    std: Float[Array, ""]
+    """Standard deviation of the exploration noise on every action, rad."""
 
 
 class LearnerState(NamedTuple):
@@ -90,6 +97,10 @@ class Rollout(NamedTuple):
     """The step met a time limit: the value of what follows is the critic's at `final_observation`."""
     final_observation: Float[Array, "T B O"]
     """What the step led to, before any reset."""
+    privileged: Float[Array, "T B P"]
+    """What the critic saw besides `observation`."""
+    final_privileged: Float[Array, "T B P"]
+    """What it saw besides `final_observation`."""
     metrics: PyTree[Array]
     """What the environment recorded, each leaf [T, B, ...]."""
 
