@@ -22,7 +22,8 @@ STUDIES = {
     "walking": "Learning to walk",
     "reward": "Learning from the weighted reward, and from the plain one",
     "rate": "Learning with physics at 500 Hz, and at 1 kHz",
-    "learning_speeds": "Learning other speeds",
+    "learning_speeds": "Learning other speeds from the 1x policy",
+    "warm_start": "Learning 4x from the 1x policy, and from scratch",
     "paper": "The paper's learner as printed, and readings that differ in one point",
 }
 """Studies of `experiments.learning`, and what they are about."""

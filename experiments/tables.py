@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 PROVENANCE = ("command", "commit", "date", "hardware")
 NO_FIGURE = "–"
+WALK_S = 10.0
 RETURNS = "A controller imitates nothing, so it has no return."
 
 
@@ -208,7 +209,13 @@ def speeds_and_blends(folder: Path) -> Table | None:
 def _walks(result: Result) -> list[tuple[str, ...]]:
     """A row for each subject of a result: how fast, or over which terrain, it walks."""
     rows = []
-    for subject in dict.fromkeys(row["subject"] for row in result.content["rows"]):
+    subjects = list(dict.fromkeys(row["subject"] for row in result.content["rows"]))
+    told_speeds = [subject for subject in subjects if " speed=" in subject]
+    if told_speeds:
+        rows.append((f"{told_speeds[0]} to {told_speeds[-1].split()[-1]}", NO_FIGURE, _kept(result, told_speeds)))
+    for subject in subjects:
+        if subject in told_speeds:
+            continue
         paper = PAPER_SPEEDS.get(subject) or PAPER_BLENDS.get(subject.removeprefix("blend:"), NO_FIGURE)
         told, speed, up, h = (
             result.value(quantity, subject) for quantity in ("commanded_mps", "speed_mps", "survived_s", "terrain_h_m")
@@ -224,8 +231,17 @@ def _walks(result: Result) -> list[tuple[str, ...]]:
             ours = f"h = {h:.2f} m"
         else:
             continue
-        rows.append((subject, paper, ours, result.provenance["command"]))
-    return rows
+        rows.append((subject, paper, ours))
+    return [(*row, result.provenance["command"]) for row in rows]
+
+
+def _kept(result: Result, subjects: Sequence[str]) -> str:
+    """How one policy keeps the speeds it is told: those it walks 10 s at, and the largest error among them."""
+    up = [subject for subject in subjects if (result.value("survived_s", subject) or 0) >= WALK_S]
+    pairs = [(result.value("speed_mps", subject), result.value("commanded_mps", subject)) for subject in up]
+    errors = [abs(speed - told) for speed, told in pairs if speed is not None and told is not None]
+    off = f", {max(errors):.2f} m/s off at most" if errors else ""
+    return f"{len(up)} of {len(subjects)} speeds up for 10 s{off}"
 
 
 def markdown(table: Table) -> str:

@@ -66,6 +66,8 @@ def everything(tmp_path):
     write(folder, "stride_1x.json", time_s=[0, 0.032], joints=joints, feet=feet)
     ride = {name: [0.5, 1.0] for name in ("time_s", "commanded_mps", "mean_mps", "least_mps", "greatest_mps")}
     speeds = figures("2x", commanded_mps=1.42, speed_mps=1.401, survived_s=10)
+    speeds += figures("any speed=0x", commanded_mps=0, speed_mps=-0.05, survived_s=10)
+    speeds += figures("any speed=4x", commanded_mps=2.84, speed_mps=1, survived_s=8)
     write(folder, "speeds.json", speeds, profile=ride)
     up = {"subject": "blend:1x,2x schedule=ramp", "quantity": "starts_up", "value": 19, "unit": "of 20", "n": 20}
     write(folder, "interpolation.json", [up], rides={up["subject"]: ride})
@@ -102,13 +104,14 @@ def test_what_was_not_measured_is_named_and_never_shown(everything, tmp_path):
     empty.mkdir()
     assert tables.beside_the_paper(empty).rows == []
     assert tables.speeds_and_blends(empty) is None
-    assert whole_page(empty).count("Not measured yet. ") == 10
+    assert whole_page(empty).count("Not measured yet. ") == 11
 
 
 def test_speeds_and_blends(everything):
     table = tables.speeds_and_blends(everything)
     assert table is not None
     assert [row[:3] for row in table.rows] == [
+        ("any speed=0x to speed=4x", "–", "1 of 2 speeds up for 10 s, 0.05 m/s off at most"),
         ("2x", "learned in 3 to 5 h", "1.40 m/s (told 1.42), up 10 of 10 s"),
         ("blend:1x,2x schedule=ramp", "speeds up, slows down", "19 of 20 starts up"),
     ]
