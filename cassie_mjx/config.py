@@ -31,7 +31,7 @@ class PPOConfig:
     """Control steps that each robot takes in one iteration."""
 
     iterations: int = 300
-    """Iterations (collect, then update) of a whole run; the linear schedule ends here."""
+    """Iterations (collect, then update) of a whole run; linear schedules and the narrowing of the noise end here."""
 
     updates_per_iteration: int = 40
     """Minibatch updates in one iteration; 40 updates of 512 samples out of 128 x 32 are 5 epochs."""
@@ -54,10 +54,10 @@ class PPOConfig:
     action_std: float = 0.134
     """Standard deviation of the exploration noise on every action at iteration 0, rad (*paper*: covariance 0.018)."""
 
-    final_action_std: float = 0.05
-    """What it has become, linearly, by the last iteration, rad; the paper's stays as it is.
+    final_action_std: float | None = 0.05
+    """What it has become, linearly, by the last iteration, rad; null for what it was.
 
-    Noise slows robots down: a policy that keeps pace with it is too fast without, by 3 % at 1x.
+    Noise slows robots down: a policy that keeps pace with it is too fast without.
     """
 
     gamma: float = 0.99
@@ -119,7 +119,6 @@ class PPOConfig:
             _require(self, name, getattr(self, name) >= 1, "at least 1")
         for name in (
             "action_std",
-            "final_action_std",
             "clip_epsilon",
             "actor_learning_rate",
             "critic_learning_rate",
@@ -129,6 +128,11 @@ class PPOConfig:
         for name in ("target_kl", "max_grad_norm"):
             value = getattr(self, name)
             _require(self, name, value is None or value > 0, "greater than 0, or null to switch it off")
+        last = self.final_action_std
+        narrows = last is None or 0 < last <= self.action_std
+        _require(
+            self, "final_action_std", narrows, f"greater than 0 and at most action_std, {self.action_std}, or null"
+        )
         for name in ("gamma", "gae_lambda", "learning_rate_floor"):
             _require(self, name, 0 <= getattr(self, name) <= 1, "from 0 to 1")
         for name in ("actor_output_scale", "learning_rate_decay"):
@@ -156,7 +160,7 @@ PPO_PRESETS = {
         updates_per_iteration=64,
         minibatch_size=128,
         privileged_critic=False,
-        final_action_std=0.134,
+        final_action_std=None,
         gae_lambda=1.0,
         normalize_advantage=False,
         actor_learning_rate=1e-3,

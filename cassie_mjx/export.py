@@ -265,7 +265,7 @@ class ExportConfig:
     out: str
     """File to write, .npz."""
     which: str = "best"
-    """"best": the policy of the highest weighted return, in a run under disturbances the last; "last": the last."""
+    """"best": of the highest return by the reward it learned from, under disturbances the last; "last": the last."""
 
 
 def main(config: ExportConfig) -> None:

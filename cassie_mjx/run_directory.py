@@ -20,7 +20,7 @@ def claim(folder: Path, config: TrainConfig, provenance: dict[str, Any]) -> chec
         or the hosts do not share it.
       OSError: it cannot be written.
     """
-    wanted = _comparable(asdict(config))
+    wanted = comparable(asdict(config))
     found = _look(folder, wanted, config.resume)
     # No process writes before all have looked.
     if len(set(devices.exchange(zlib.crc32(str(found).encode())))) > 1:
@@ -68,7 +68,7 @@ def _held(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path} cannot be read ({error}); choose another run_dir.") from error
 
 
-def _comparable(config: dict[str, Any]) -> dict[str, Any]:
+def comparable(config: dict[str, Any]) -> dict[str, Any]:
     """What makes a run the run it is, flat and as JSON gives it back."""
     kept = {name: value for name, value in _flat(config).items() if name not in ("resume", "run_dir", "distributed")}
     return json.loads(json.dumps(kept))

@@ -54,7 +54,7 @@ class Live:
         """
         self.subject, self.terrain = subject, terrain
         self._physics, self._start = begin(subject, Trial(0, 0.0, terrain=terrain), 0.0)
-        self.model = servo_model(load_scene(terrain))
+        self.model = servo_model(load_scene(terrain), subject.damping)
         self.data = mujoco.MjData(self.model)
         self._act_steps = round(subject.period_s / self.model.opt.timestep)
         self.restart()

@@ -7,6 +7,7 @@ solver and contacts that it trains with.
 
 import json
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -46,11 +47,11 @@ class EnginesConfig:
             steps_per_control(rate)
 
 
-def engines(rate: int) -> dict[str, Physics]:
-    """Both engines at a physics rate."""
+def engines(rate: int, damping: float) -> dict[str, Physics]:
+    """Both engines at a physics rate, with a factor on the D gains."""
     return {
-        "native": NativePhysics(load(ModelConfig(physics_hz=rate))),
-        "mjx": MjxPhysics(load_for_mjx(replace(MJX_TRAINING, physics_hz=rate))),
+        "native": NativePhysics(load(ModelConfig(physics_hz=rate)), damping=damping),
+        "mjx": MjxPhysics(load_for_mjx(replace(MJX_TRAINING, physics_hz=rate)), damping=damping),
     }
 
 
@@ -59,24 +60,24 @@ def main(config: EnginesConfig) -> None:
     out = cli.check_writable(config.out)
     policies = {run: NumpyPolicy.load(Path(run) / "best.npz") for run in config.runs}
     held = {run: json.loads((Path(run) / "config.json").read_text()) for run in config.runs}
-    task = WalkConfig(episode_steps=EPISODE_STEPS).to_the_fall()
+    walkers = {run: PolicySubject(run, policy) for run, policy in policies.items()}
     rows: list[dict[str, Any]] = []
-    for rate in config.rates:
-        for engine, physics in engines(rate).items():
-            for run, policy in policies.items():
-                subject = PolicySubject(run, policy)
-                env = WalkEnv(physics, subject.motion, replace(task, damping=subject.damping), STARTS)
-                trained = held[run]["config"]
-                row = {
-                    "policy": run,
-                    "trained_on": trained["physics"],
-                    "trained_at_hz": trained["physics_hz"],
-                    "samples": policy.provenance["samples"],
-                    "walks_on": engine,
-                    "physics_hz": rate,
-                }
-                rows.append(row | {name: round(value, 2) for name, value in walk_returns(policy, env).items()})
-                Console(stderr=True).print(rows[-1])
+    for rate, damping in product(config.rates, sorted({walker.damping for walker in walkers.values()})):
+        task = WalkConfig(episode_steps=EPISODE_STEPS, damping=damping).to_the_fall()
+        alike = {run: walker for run, walker in walkers.items() if walker.damping == damping}
+        for (engine, physics), (run, walker) in product(engines(rate, damping).items(), alike.items()):
+            trained = held[run]["config"]
+            row = {
+                "policy": run,
+                "trained_on": trained["physics"],
+                "trained_at_hz": trained["physics_hz"],
+                "samples": policies[run].provenance["samples"],
+                "walks_on": engine,
+                "physics_hz": rate,
+            }
+            returns = walk_returns(policies[run], WalkEnv(physics, walker.motion, task, STARTS))
+            rows.append(row | {name: round(value, 2) for name, value in returns.items()})
+            Console(stderr=True).print(rows[-1])
     origins = {run: policy.provenance for run, policy in policies.items()}
     cli.write_json(out, {"rows": rows, "policies": origins, "provenance": cli.provenance(**asdict(config))})
 

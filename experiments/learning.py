@@ -11,7 +11,7 @@ import statistics
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,9 @@ from rich.table import Table
 
 from cassie_mjx import checkpoint, cli
 from cassie_mjx.config import PPO_PRESETS
+from cassie_mjx.envs.disturbance import DisturbanceConfig
+from cassie_mjx.run_directory import comparable
+from cassie_mjx.training import TrainConfig
 from experiments import plots
 
 # The return that the paper reports.
@@ -69,15 +72,19 @@ PAPER = {
 }
 DEFAULT = Variant("1x", {})
 
+LATER = {"init": None, "ppo.privileged_critic": False, "ppo.final_action_std": None}
+LATER |= {"walk.x_limit_m": None, "walk.damping": 1.0}
+LATER |= {f"walk.disturbance.{name}": value for name, value in vars(DisturbanceConfig()).items()}
+"""How runs were trained whose configuration does not name these yet."""
+
 STUDIES = {
     "walking": (replace(DEFAULT, seeds=(0, 1, 2, 3, 4)),),
     "reward": (DEFAULT, Variant("1x-plain", {"walk.reward": "plain"})),
     "rate": (DEFAULT, Variant("1x-1000hz", {"physics_hz": "1000"})),
-    "learning_speeds": (
-        DEFAULT,
-        *(Variant(speed, {"speed": speed, "init": "1x"}) for speed in ("0x", "2x", "3x", "4x", "any")),
+    "learning_speeds": tuple(
+        Variant(speed, {"speed": speed, "init": "1x"}) for speed in ("0x", "2x", "3x", "4x", "any")
     ),
-    "warm_start": (Variant("4x", {"speed": "4x", "init": "1x"}), Variant("4x-from-scratch", {"speed": "4x"}, (0,))),
+    "warm_start": (Variant("4x", {"speed": "4x", "init": "1x"}), Variant("4x-from-scratch", {"speed": "4x"})),
     # What the paper prints, a tenth of its step sizes, and readings that differ from the printed one in a single point.
     "paper": (
         Variant("paper-printed", PAPER),
@@ -130,13 +137,12 @@ def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
     """What a finished run did: its configuration, curve, best returns, and samples and minutes to the goal.
 
     Raises:
-      ValueError: it was trained with other settings than the variant's.
+      ValueError: it was trained with other settings than the variant's, in whatever point.
     """
     held = json.loads((folder / "config.json").read_text())
     wanted = expected(variant) | {"seed": seed}
-    # What a run's configuration does not name did not exist when it was made, and every such thing can be switched off.
-    found = {key: held["config"].get(key, value) for key, value in wanted.items()}
-    wrong = [f"{key}={found[key]}" for key, value in wanted.items() if found[key] != value]
+    found = LATER | held["config"]
+    wrong = [f"{key}={found.get(key)}" for key, value in wanted.items() if found.get(key) != value]
     if wrong:
         raise ValueError(f"{folder} was trained with {', '.join(wrong)}, unlike {variant.name}; move it away.")
     lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
@@ -154,14 +160,16 @@ def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
 
 
 def expected(variant: Variant) -> dict[str, Any]:
-    """The settings that a variant fixes, flat, as a run's config.json has them."""
-    values: dict[str, Any] = {}
-    for key, value in variant.settings.items():
-        if key == "ppo":
-            values |= {f"ppo.{name}": setting for name, setting in vars(PPO_PRESETS[value]).items()}
-        else:
-            values[key] = OmegaConf.select(OmegaConf.from_dotlist([f"{key}={value}"]), key)
-    return json.loads(json.dumps(values))
+    """The configuration of a variant's runs, flat, as their config.json has it; seed and engine apart."""
+    chosen = {
+        key: OmegaConf.select(OmegaConf.from_dotlist([f"{key}={value}"]), key)
+        for key, value in variant.settings.items()
+        if key != "ppo"
+    }
+    default = TrainConfig(ppo=PPO_PRESETS[variant.settings.get("ppo", "parallel")])
+    apart = ("seed", "physics", "physics_hz")
+    values = {key: value for key, value in comparable(asdict(default)).items() if key not in apart}
+    return json.loads(json.dumps(values | chosen))
 
 
 def to_goal(curve: dict[str, list[float]], reward: str, quantity: str) -> float | None:

@@ -2,7 +2,7 @@
 
 Each policy walks at its own speed, and one that was trained at any speed at twenty, from 0x to 4x, and after a profile
 that jumps to another speed every 2 s for a minute. MuJoCo C at 2 kHz. How they learn, `experiments.learning
-study=speeds` shows.
+study=learning_speeds` shows.
 """
 
 from dataclasses import asdict, dataclass, replace

@@ -12,8 +12,8 @@ class Swaying:
 
     name = "swaying"
 
-    def __init__(self, period_s=0.032, hold=1.0):
-        self.provenance, self.period_s, self.hold, self.damping = {}, period_s, hold, 1.0
+    def __init__(self, period_s=0.032, hold=1.0, damping=1.0):
+        self.provenance, self.period_s, self.hold, self.damping = {}, period_s, hold, damping
 
     def start(self, physics, phases):
         qpos = np.tile(standing(physics.model), (len(phases), 1))

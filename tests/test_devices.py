@@ -129,7 +129,7 @@ def with_two_devices_a_point_robot_is_trained(distributed):
     collect, update = partial(rollout.collect, step, CONFIG), partial(learner.update, CONFIG)
     collect_on_all, update_on_all = devices.on_all(collect, update)
     share = jax.random.normal(jax.random.key(0), (4, 3))
-    state = learner.init(jax.random.key(1), CONFIG, 3, 3)
+    state = learner.init(jax.random.key(1), CONFIG, 3, 3, 0)
     placed = jax.device_put(state, devices.same_everywhere())
     start = jax.device_put(points(jnp.concatenate([share, share])), devices.split_by_robot())
 

@@ -34,7 +34,7 @@ def replayed(physics, robot_1_turns_at=0.0):
     qvel = np.array(state.physics.qvel)
     qvel[1, 3] += robot_1_turns_at
     state = replace(state, physics=physics.init(state.physics.qpos, qvel))
-    policy = learner.init(jax.random.key(0), CONFIG, observation.SIZE, robot.NU).policy
+    policy = learner.init(jax.random.key(0), CONFIG, observation.SIZE, robot.NU, 1).policy
     return diagnosis.replay(env, CONFIG, policy, jax.tree.map(physics_array(physics), state), jax.random.key(1))
 
 

@@ -9,6 +9,8 @@ from cassie_mjx import cli, reference, robot
 from cassie_mjx.config import PPOConfig
 from cassie_mjx.envs import observation
 from cassie_mjx.export import save_policy
+from cassie_mjx.model import ModelConfig, load
+from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.ppo import learner
 from cassie_mjx.returns import referee, walk_returns
 from experiments import engines
@@ -16,23 +18,25 @@ from experiments.engines import EnginesConfig, main
 
 
 def test_rows_are_the_returns_on_each_engine_at_each_rate(tmp_path, monkeypatch):
-    run = tmp_path / "run"
-    run.mkdir()
+    run, soft = tmp_path / "run", tmp_path / "soft"
     motion = reference.resolve("walk")
-    policy = learner.init(jax.random.key(0), PPOConfig(), observation.SIZE, robot.NU).policy
-    save_policy(run / "best.npz", policy, motion, 1.0, 1.0, {"samples": 7})
-    (run / "config.json").write_text(json.dumps({"config": {"physics": "mjx", "physics_hz": 500}}))
+    policy = learner.init(jax.random.key(0), PPOConfig(), observation.SIZE, robot.NU, 1).policy
+    for folder, damping in ((run, 1.0), (soft, 0.5)):
+        folder.mkdir()
+        save_policy(folder / "best.npz", policy, motion, 1.0, damping, {"samples": 7})
+        (folder / "config.json").write_text(json.dumps({"config": {"physics": "mjx", "physics_hz": 500}}))
 
     natives = engines.engines
-    monkeypatch.setattr(engines, "engines", lambda rate: {"native": natives(rate)["native"]})
-    main(EnginesConfig((str(run),), (2000, 500), str(tmp_path / "out.json")))
+    monkeypatch.setattr(engines, "engines", lambda *setting: {"native": natives(*setting)["native"]})
+    main(EnginesConfig((str(run), str(soft)), (2000, 500), str(tmp_path / "out.json")))
     rows = json.loads((tmp_path / "out.json").read_text())["rows"]
-    assert [(row["walks_on"], row["physics_hz"], row["trained_on"]) for row in rows] == [
-        ("native", 2000, "mjx"),
-        ("native", 500, "mjx"),
+    assert [(row["policy"], row["walks_on"], row["physics_hz"], row["trained_on"]) for row in rows] == [
+        (str(folder), "native", hertz, "mjx") for hertz in (2000, 500) for folder in (soft, run)
     ]
-    expected = walk_returns(engines.NumpyPolicy.load(run / "best.npz"), referee(motion))
-    assert {name: rows[0][name] for name in expected} == {k: pytest.approx(v, abs=0.01) for k, v in expected.items()}
+    for row, damping in ((rows[0], 0.5), (rows[1], 1.0)):
+        physics = NativePhysics(load(ModelConfig()), damping=damping)
+        expected = walk_returns(engines.NumpyPolicy.load(run / "best.npz"), referee(motion, physics))
+        assert {name: row[name] for name in expected} == {k: pytest.approx(v, abs=0.01) for k, v in expected.items()}
 
 
 def test_a_directory_without_a_policy_is_refused(tmp_path):

@@ -28,7 +28,7 @@ def seen():
 @pytest.fixture(scope="module")
 def policy(seen):
     config = PPOConfig(actor_output_scale=1.0)
-    drawn = learner.init(jax.random.key(0), config, observation.SIZE, robot.NU).policy
+    drawn = learner.init(jax.random.key(0), config, observation.SIZE, robot.NU, 1).policy
     biased = jax.tree.map(lambda x: x + 0.1 if x.ndim == 1 else x, drawn.actor)
     return drawn._replace(actor=biased, normalizer=normalizer.update(drawn.normalizer, jnp.asarray(seen[:-10])))
 

@@ -38,7 +38,7 @@ def policy_files(motions, tmp_path_factory):
     """Three policies that act, untrained, each on its own reference."""
     folder, files = tmp_path_factory.mktemp("policies"), []
     for seed, motion in enumerate(motions):
-        state = learner.init(jax.random.key(seed), PPO_PRESETS["parallel"], observation.SIZE, robot.NU)
+        state = learner.init(jax.random.key(seed), PPO_PRESETS["parallel"], observation.SIZE, robot.NU, 1)
         actor = jax.tree.map(lambda leaf: 3 * leaf, state.policy.actor)
         files.append(folder / f"{seed + 1}x.npz")
         save_policy(files[-1], state.policy._replace(actor=actor), motion, seed + 1.0, 1.0, {})
@@ -53,7 +53,7 @@ def states(walk):
 
 
 def linear(seed):
-    weights = 0.05 * np.random.default_rng(seed).normal(size=(observation.SIZE, robot.NU)).astype(np.float32)
+    weights = 0.05 * np.random.default_rng(seed).normal(size=(observation.SIZE, robot.NU, 1)).astype(np.float32)
     return lambda seen: np.asarray(seen) @ weights
 
 

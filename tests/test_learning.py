@@ -6,9 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from cassie_mjx.run_directory import comparable
 from cassie_mjx.training import TrainConfig
 from experiments import learning
-from experiments.learning import ACTOR, STUDIES, LearningConfig, Variant, expected, main, summarize, to_goal
+from experiments.learning import ACTOR, LATER, STUDIES, LearningConfig, Variant, expected, main, summarize, to_goal
 
 TWO_SEEDS = Variant("tenth", {"ppo": "paper", ACTOR: "1e-4", "walk.early_end_reward": "null"}, (0, 1))
 
@@ -65,6 +66,22 @@ def test_a_run_with_other_settings_is_not_reported(monkeypatch, tmp_path):
     assert not (tmp_path / "out.json").exists()
 
 
+@pytest.mark.parametrize("key", LATER)
+def test_a_run_made_before_a_setting_existed_is_one_without_it(monkeypatch, tmp_path, key):
+    fake_training(monkeypatch)
+    study(tmp_path)
+    path = tmp_path / "runs" / "tenth-seed1" / "config.json"
+    held = json.loads(path.read_text())
+    without = expected(TWO_SEEDS)[key] == LATER[key]
+    del held["config"][key]
+    path.write_text(json.dumps(held))
+    if without:
+        study(tmp_path)
+    else:
+        with pytest.raises(ValueError, match=f"was trained with {key}={LATER[key]}, unlike tenth"):
+            study(tmp_path)
+
+
 def test_a_training_that_fails_ends_the_study(monkeypatch, tmp_path):
     fake_training(monkeypatch, status=130)
     with pytest.raises(ValueError, match="tenth-seed0 ended with status 130; the same command goes on from there."):
@@ -86,12 +103,9 @@ def test_what_is_never_reached_has_no_mean():
 
 
 def test_studies_fix_settings_that_exist_and_share_runs_by_name():
-    flat = {}
-    for name, value in asdict(TrainConfig()).items():
-        flat |= {f"{name}.{part}": None for part in value} if isinstance(value, dict) else {name: None}
     seen = {}
     for variant in (variant for variants in STUDIES.values() for variant in variants):
-        assert expected(variant).keys() <= flat.keys()
+        assert expected(variant).keys() <= comparable(asdict(TrainConfig())).keys()
         assert seen.setdefault(variant.name, variant.settings) == variant.settings
 
 

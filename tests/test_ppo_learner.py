@@ -76,6 +76,20 @@ def test_a_critic_learns_what_only_it_can_see_if_it_may(privileged):
     assert (metrics.explained_variance > 0.9) == privileged
 
 
+def test_at_a_time_limit_the_critic_values_what_it_saw_before_the_reset():
+    """A critic that is the sum of its privileged inputs, one step: target = reward + gamma x final_privileged."""
+    config = replace(CONFIG, hidden_sizes=(2,), gae_lambda=0.0, gamma=0.5, updates_per_iteration=1)
+    state = learner.init(jax.random.key(0), config, 5, 3, 2)
+    lived = make_rollout(config, state)
+    cut = jnp.ones_like(lived.truncated)
+    lived = lived._replace(truncated=cut, terminated=~cut, final_privileged=abs(lived.final_privileged))
+    passing = {"kernel": jnp.zeros((7, 2)).at[5, 0].set(1).at[6, 1].set(1), "bias": jnp.zeros(2)}
+    summing = {"kernel": jnp.ones((2, 1)), "bias": jnp.zeros(1)}
+    batch, _ = learner._prepare(config, state._replace(critic={"hidden_0": passing, "output": summing}), lived, None)
+    expected = lived.reward + 0.5 * lived.final_privileged.sum(axis=-1)
+    np.testing.assert_allclose(batch.value_target, expected.ravel(), rtol=1e-5)
+
+
 def test_adams_first_step_is_as_long_as_the_learning_rate():
     before, after, metrics = updated(replace(CONFIG, updates_per_iteration=1, max_grad_norm=None, adam_epsilon=1e-12))
     actor, critic = (
@@ -176,7 +190,7 @@ def test_rollout_of_another_size_is_refused():
 
 def test_sizes_must_be_positive():
     with pytest.raises(ValueError, match="at least 1, not 0"):
-        learner.init(jax.random.key(0), CONFIG, 0, 3)
+        learner.init(jax.random.key(0), CONFIG, 0, 3, 0)
 
 
 TWO_DEVICES = """

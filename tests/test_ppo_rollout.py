@@ -26,7 +26,7 @@ CONFIG = PPOConfig(
     actor_learning_rate=3e-3,
     critic_learning_rate=3e-3,
     normalizer_samples=2000,
-    final_action_std=0.134,
+    final_action_std=None,
 )
 
 
@@ -97,7 +97,7 @@ def train(loop: str, seed: int) -> tuple[learner.LearnerState, list[learner.Upda
 @pytest.fixture(scope="module")
 def rollouts() -> dict[str, Rollout]:
     # Louder than an untrained actor, so that episodes end in both ways.
-    policy = learner.init(jax.random.key(0), replace(CONFIG, actor_output_scale=1.0), 2, 2).policy
+    policy = learner.init(jax.random.key(0), replace(CONFIG, actor_output_scale=1.0), 2, 2, 1).policy
     return {loop: COLLECT[loop](policy, RESET[loop](jax.random.key(1)), jax.random.key(2))[1] for loop in LOOPS}
 
 
@@ -130,7 +130,7 @@ def test_rollout_carries_the_density_of_its_actions_and_the_environments_metrics
 
 
 def test_statistics_of_the_random_policy_are_those_of_its_states():
-    state = learner.init(jax.random.key(0), CONFIG, 2, 2)
+    state = learner.init(jax.random.key(0), CONFIG, 2, 2, 1)
     env_state = RESET["host"](jax.random.key(1))
     normalizer = rollout.random_policy_statistics(COLLECT["host"], state.policy, env_state, jax.random.key(2), 100_000)
     assert 100_000 <= normalizer.samples < 100_000 + CONFIG.num_samples
@@ -141,7 +141,7 @@ def test_statistics_of_the_random_policy_are_those_of_its_states():
 
 
 def test_environment_of_another_width_is_refused():
-    policy = learner.init(jax.random.key(0), CONFIG, 3, 2).policy
+    policy = learner.init(jax.random.key(0), CONFIG, 3, 2, 1).policy
     for loop in LOOPS:
         with pytest.raises(ValueError, match=r"observes 2 numbers a robot; this policy was made for 3\."):
             COLLECT[loop](policy, RESET[loop](jax.random.key(1)), jax.random.key(2))

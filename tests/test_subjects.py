@@ -44,7 +44,7 @@ def test_an_unknown_policy_gets_one_sentence(name):
 def test_a_policy_walks_as_its_targets_say(tmp_path, model):
     """A zero residual holds the next sample of the reference: the PD targets of `act`, step after step."""
     motion = reference.resolve("walk")
-    state = learner.init(jax.random.key(0), PPO_PRESETS["parallel"], observation.SIZE, robot.NU)
+    state = learner.init(jax.random.key(0), PPO_PRESETS["parallel"], observation.SIZE, robot.NU, 1)
     zero = state.policy._replace(actor=jax.tree.map(jnp.zeros_like, state.policy.actor))
     save_policy(tmp_path / "zero.npz", zero, motion, 1.0, 0.5, {})
     subject = subjects.resolve(str(tmp_path / "zero.npz"))

@@ -311,7 +311,7 @@ def test_a_sweep_runs_every_combination(monkeypatch, tmp_path):
         ("ppo.clip=1", "'ppo.clip' is not a key; the keys are num_robots, num_steps,"),
         ("+song=1", "A key with + in front must exist as well"),
         ("walk.disturbance.wind=1", "'walk.disturbance.wind' is not a key; the keys are push_n,"),
-        ("walk.disturbance.push_n=-1", "push_n=-1.0 must be a finite number of at least 0."),
+        ("walk.disturbance.push_n=-1", "push_n=-1.0 must be from 0 to 1000."),
         ("ppo=huge", "ppo=huge is not known; choose one of massive, paper, parallel."),
         ("hydra/launcher=slurm", "hydra/launcher=slurm is not known; choose one of basic."),
         ("seed=one", "seed: Value 'one' of type 'str' could not be converted to Integer."),

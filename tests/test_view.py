@@ -56,11 +56,14 @@ def clock(monkeypatch):
     return clock
 
 
-@pytest.mark.parametrize(("period_s", "terrain"), [(0.032, 0.0), (0.002, 0.0), (0.032, 0.05)])
-def test_the_robot_steps_as_in_the_physics_of_the_sweeps(period_s, terrain):
+@pytest.mark.parametrize(
+    ("period_s", "terrain", "damping"), [(0.032, 0.0, 1.0), (0.002, 0.0, 1.0), (0.032, 0.05, 1.0), (0.032, 0.0, 0.3)]
+)
+def test_the_robot_steps_as_in_the_physics_of_the_sweeps(period_s, terrain, damping):
     """Half a second on the model with all its visuals, in one MjData, against NativePhysics on the bare model."""
-    live = Live(Swaying(period_s), terrain)
-    for shot in film(Swaying(period_s), Trial(0, 0.5, terrain=terrain), fps=100):
+    subject = Swaying(period_s, damping=damping)
+    live = Live(subject, terrain)
+    for shot in film(subject, Trial(0, 0.5, terrain=terrain), fps=100):
         np.testing.assert_array_equal(live.data.qpos, shot.qpos)
         live.advance(20)
 

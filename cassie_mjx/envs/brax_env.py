@@ -40,7 +40,8 @@ class CassieEnv(PipelineEnv):
     """The walking task on MJX as a Brax environment.
 
     The reference phase is part of `pipeline_state`, so it is batched, reset and restored with the rest. Episodes end
-    here by falls and low rewards alone; their full length is the `episode_length` of Brax's `EpisodeWrapper`.
+    here by falls, low rewards and distance from the reference; their full length is the `episode_length` of Brax's
+    `EpisodeWrapper`.
     """
 
     def __init__(

@@ -36,8 +36,8 @@ class DisturbanceConfig:
         """Raise ValueError for a value out of range."""
         for field in fields(self):
             value = getattr(self, field.name)
-            if not 0 <= value < math.inf:
-                raise ValueError(f"{field.name}={value} must be a finite number of at least 0.")
+            if not 0 <= value <= 1000:
+                raise ValueError(f"{field.name}={value} must be from 0 to 1000.")
 
     @property
     def active(self) -> bool:

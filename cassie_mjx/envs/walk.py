@@ -35,7 +35,7 @@ class WalkConfig:
     episode_steps: int = 300
     """Control steps of a full episode; 300 are 9.6 s."""
     damping: float = 1.0
-    """Factor on the published D gains of the PD law; delayed by 10 ms, the published ones shake the leg springs."""
+    """Factor on the published D gains of the PD law; with less, robots bear to sense and act later."""
     disturbance: DisturbanceConfig = field(default_factory=DisturbanceConfig)
     """What robots are put through besides walking."""
 
@@ -71,15 +71,16 @@ WALK_PRESETS = {
         disturbance=DisturbanceConfig(push_n=250, terrain_m=0.25, delay_s=0.01),
     ),
 }
-"""The task's presets by name."""
+"""The task's presets by name; `robust` lets robots stray, as pushed ones do."""
 
 T = TypeVar("T")
 
-# What the key of a step or reset is folded with for disturbances and for speeds; as it is, it draws phases.
-_DISTURBANCE_KEY, _SPEED_KEY = 1, 2
+# What the key of a step or reset is folded with for speeds and for disturbances. As it is, it draws phases, for which
+# `randint` splits it in two: folding with 0 or 1 would give those halves again.
+_SPEED_KEY, _DISTURBANCE_KEY = 2, 3
 
 
-# Unit in which a critic is told how far a robot is ahead: about what is usual in training.
+# Unit in which a critic is told how far a robot is ahead: half of what ends an episode, so of the order of 1.
 LEAD_M = 0.25
 
 

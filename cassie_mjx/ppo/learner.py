@@ -17,7 +17,7 @@ from cassie_mjx.ppo.types import LearnerState, Params, Policy, Rollout, UpdateMe
 # KL_STEP otherwise: a small step, because the divergence of one iteration is noisy.
 KL_BAND = 1.5
 KL_STEP = 1.3
-# In training the factor settles at 0.2 to 0.35; the bounds only stop a run-away, such as when all rewards are equal.
+# The bounds only stop a run-away, such as when all rewards are equal.
 STEP_FACTOR_BOUNDS = (0.01, 10.0)
 
 
@@ -43,7 +43,7 @@ class _Batch(NamedTuple):
 
 
 def init(
-    key: Key[Array, ""], config: PPOConfig, observation_size: int, action_size: int, privileged_size: int = 0
+    key: Key[Array, ""], config: PPOConfig, observation_size: int, action_size: int, privileged_size: int
 ) -> LearnerState:
     """Draw an untrained learner, whose normaliser has seen nothing yet.
 
@@ -141,8 +141,9 @@ def learning_rates(config: PPOConfig, state: LearnerState) -> LearningRates:
 
 def action_std(config: PPOConfig, iteration: Int[Array, ""]) -> Float[Array, ""]:
     """Return the standard deviation of the exploration noise in an iteration."""
+    last = config.action_std if config.final_action_std is None else config.final_action_std
     done = jnp.minimum(iteration / config.iterations, 1.0)
-    return (1 - done) * config.action_std + done * config.final_action_std
+    return (1 - done) * config.action_std + done * last
 
 
 def _schedule(config: PPOConfig, name: str, iteration: Int[Array, ""]) -> Float[Array, ""]:
