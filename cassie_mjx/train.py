@@ -205,8 +205,8 @@ class Session:
         origin = f" from the policy {config.init}" if config.init else ""
         spread = f" on {jax.device_count()} devices" if config.physics == "mjx" and jax.device_count() > 1 else ""
         return (
-            f"{config.speed} on {config.reference}{origin}, {config.ppo.num_robots} robots on {config.physics}{spread} at "
-            f"{config.physics_hz} Hz, {config.ppo.iterations} iterations of {config.ppo.num_samples:,} samples."
+            f"{config.speed} on {config.reference}{origin}, {config.ppo.num_robots} robots on {config.physics}{spread} "
+            f"at {config.physics_hz} Hz, {config.ppo.iterations} iterations of {config.ppo.num_samples:,} samples."
         )
 
     def _conclude(self) -> None:
