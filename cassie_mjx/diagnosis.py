@@ -5,11 +5,13 @@
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = before["qpos"], before["qvel"]
     data.qacc_warmstart[:], data.ctrl[:] = before["qacc_warmstart"], before["target"]
-    data.body("cassie-pelvis").xfrc_applied[:3] = before["push"]
-    mujoco.mj_step(model, data, nstep=int(before["n_steps"]))
+    for step in range(before["step"], before["step"] + before["n_steps"]):
+        pushed = before["push_start"] <= step < before["push_stop"]
+        data.body("cassie-pelvis").xfrc_applied[:3] = before["push"] * pushed
+        mujoco.mj_step(model, data)
 
-The motors are position servos, as they are without delay. A push acts in the physics steps from `push_start` on and
-before `push_stop`; the first of the `n_steps` is number `step`. What diverged on MJX need not in MuJoCo C.
+The motors are position servos on the present state: what diverged on senses `delay` steps old, or on MJX, need not do
+so again in MuJoCo C.
 """
 
 import copy
@@ -24,7 +26,7 @@ import numpy as np
 from cassie_mjx.config import PPOConfig
 from cassie_mjx.envs.types import WalkState
 from cassie_mjx.envs.walk import WalkEnv
-from cassie_mjx.model import servo_model, set_terrain
+from cassie_mjx.model import ModelConfig, load, servo_model, set_terrain
 from cassie_mjx.physics.types import Array, Disturbance, Physics, PhysicsState
 from cassie_mjx.ppo.rollout import collect_on_host
 from cassie_mjx.ppo.types import Policy
@@ -59,9 +61,12 @@ def dump(folder: Path, physics: Physics, divergence: Divergence) -> None:
       OSError: they cannot be written.
     """
     folder.mkdir(parents=True)
-    model = servo_model(physics.model, physics.damping)
+    model, height = physics.model, float(divergence["terrain"])
+    if height and not model.nhfield:  # on MJX the terrain is planes that move
+        model = load(ModelConfig(physics_hz=round(1 / model.opt.timestep), scene="terrain"))
+    model = servo_model(model, physics.damping)
     if model.nhfield:
-        set_terrain(model, float(divergence["terrain"]))
+        set_terrain(model, height)
     mujoco.mj_saveModel(model, str(folder / "model.mjb"))
     np.savez(folder / "before.npz", **divergence)
 

@@ -20,6 +20,9 @@ from cassie_mjx.ppo import learner
 
 CONFIG = PPOConfig(num_robots=2, num_steps=4, minibatch_size=8, hidden_sizes=(16,))
 PUSH = replace(Disturbance.none(2), push=np.full((2, 3), 50.0), push_stop=np.full(2, 1000, np.int32))
+# Begins and ends within the third control step, which is physics steps 32 to 47.
+HILL = replace(Disturbance.none(2), terrain=np.full(2, 0.1))
+SHORT_PUSH = replace(PUSH, push_start=np.full(2, 37, np.int32), push_stop=np.full(2, 42, np.int32))
 
 
 @pytest.fixture
@@ -27,10 +30,10 @@ def native():
     return NativePhysics(load(ModelConfig(physics_hz=500)))
 
 
-def replayed(physics, robot_1_turns_at=0.0):
+def replayed(physics, robot_1_turns_at=0.0, disturbance=PUSH):
     """The divergence of a rollout of two robots that are pushed, one of which starts with a pelvis that turns."""
     env = WalkEnv(physics, reference.resolve("walk"), WalkConfig(), 2)
-    state = env.reset_at(np.array([3, 8]), PUSH)
+    state = env.reset_at(np.array([3, 8]), disturbance)
     qvel = np.array(state.physics.qvel)
     qvel[1, 3] += robot_1_turns_at
     state = replace(state, physics=physics.init(state.physics.qpos, qvel))
@@ -49,8 +52,10 @@ def stepped(folder):
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = before["qpos"], before["qvel"]
     data.qacc_warmstart[:], data.ctrl[:] = before["qacc_warmstart"], before["target"]
-    data.body("cassie-pelvis").xfrc_applied[:3] = before["push"]
-    mujoco.mj_step(model, data, nstep=int(before["n_steps"]))
+    for step in range(before["step"], before["step"] + before["n_steps"]):
+        pushed = before["push_start"] <= step < before["push_stop"]
+        data.body("cassie-pelvis").xfrc_applied[:3] = before["push"] * pushed
+        mujoco.mj_step(model, data)
     return data
 
 
@@ -62,7 +67,9 @@ def test_what_diverged_diverges_in_plain_mujoco(native, tmp_path, monkeypatch):
     assert not np.isfinite(stepped(tmp_path / "nan").qpos).all()
 
 
-def test_the_step_is_the_engines(native, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("scene", "disturbance"), [("flat", PUSH), ("flat", SHORT_PUSH), ("terrain", HILL)])
+def test_the_step_is_the_engines(scene, disturbance, tmp_path, monkeypatch):
+    native = NativePhysics(load(ModelConfig(physics_hz=500, scene=scene)))
     advance, results = NativePhysics.advance, []
 
     def poisoned(self, *args):
@@ -71,7 +78,7 @@ def test_the_step_is_the_engines(native, tmp_path, monkeypatch):
         return replace(results[-1], qpos=np.full((2, robot.NQ), np.nan)) if len(results) == 3 else results[-1]
 
     monkeypatch.setattr(NativePhysics, "advance", poisoned)
-    found = replayed(native) or pytest.fail("no divergence")
+    found = replayed(native, disturbance=disturbance) or pytest.fail("no divergence")
     diagnosis.dump(tmp_path / "nan", native, found)
     data = stepped(tmp_path / "nan")
     np.testing.assert_allclose(data.qpos, results[2].qpos[0], rtol=0, atol=1e-12)
@@ -89,3 +96,11 @@ def test_on_mjx_the_same(tmp_path, monkeypatch):
     found = replayed(physics, robot_1_turns_at=1e9) or pytest.fail("no divergence")
     diagnosis.dump(tmp_path / "nan", physics, found)
     assert not np.isfinite(stepped(tmp_path / "nan").qpos).all()
+
+
+def test_terrain_on_mjx_is_kept_as_a_height_field(native, tmp_path):
+    found = {"qpos": native.model.qpos0, "terrain": np.float32(0.1)}
+    diagnosis.dump(tmp_path / "nan", native, found)
+    model = mujoco.MjModel.from_binary_path(str(tmp_path / "nan" / "model.mjb"))
+    assert (model.nhfield, model.opt.timestep) == (1, 0.002)
+    assert np.ptp(model.hfield_data * model.hfield_size[0, 2]) == pytest.approx(0.2, rel=0.01)
