@@ -53,7 +53,7 @@ def states(walk):
 
 
 def linear(seed):
-    weights = 0.05 * np.random.default_rng(seed).normal(size=(observation.SIZE, robot.NU, 1)).astype(np.float32)
+    weights = 0.05 * np.random.default_rng(seed).normal(size=(observation.SIZE, robot.NU)).astype(np.float32)
     return lambda seen: np.asarray(seen) @ weights
 
 
