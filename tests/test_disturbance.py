@@ -111,7 +111,7 @@ def test_pushes_act_when_and_as_drawn_one_after_the_other(hills, motion):
 def test_a_step_is_the_physics_under_the_drawn_disturbance(hills, motion):
     env = make(hills, motion, replace(ALL, push_pause_s=0.0))
     state = env.reset(jax.random.key(4))
-    assert_same(state.disturbance, draw(env.config.disturbance, jax.random.fold_in(jax.random.key(4), 1), ROBOTS, HZ))
+    assert_same(state.disturbance, draw(env.config.disturbance, jax.random.fold_in(jax.random.key(4), 3), ROBOTS, HZ))
     assert state.disturbance.delay.any()
     assert state.disturbance.terrain.any()
     after = env.step(state, NO_ACTION, jax.random.key(5))
@@ -127,7 +127,7 @@ def test_a_step_is_the_physics_under_the_drawn_disturbance(hills, motion):
 
 def test_robots_start_on_a_crest_and_are_judged_from_there(hills, motion):
     env = make(hills, motion, DisturbanceConfig(terrain_m=0.3))
-    state = env.reset(jax.random.key(8))
+    state = env.reset(jax.random.key(10))
     height = state.disturbance.terrain
     phase = np.asarray(state.clock.phase)
     first = np.asarray(motion.qpos)[phase]
@@ -152,7 +152,7 @@ def test_a_reset_draws_everything_anew(hills, motion):
     for i in range(40):
         before, state = state, env.step(state, NO_ACTION, jax.random.key(i))
         ended = np.asarray(state.terminated)
-        fresh = draw(ALL, jax.random.fold_in(jax.random.key(i), 1), ROBOTS, HZ)
+        fresh = draw(ALL, jax.random.fold_in(jax.random.key(i), 3), ROBOTS, HZ)
         for name in ("push", "push_start", "push_stop", "delay", "terrain"):
             now = getattr(state.disturbance, name)
             assert_same(now[ended], np.asarray(getattr(fresh, name))[ended])
