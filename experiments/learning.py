@@ -11,7 +11,7 @@ import statistics
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +78,7 @@ LATER |= {f"walk.disturbance.{name}": value for name, value in vars(DisturbanceC
 """How runs were trained whose configuration does not name these yet."""
 
 STUDIES = {
-    "walking": (replace(DEFAULT, seeds=(0, 1, 2, 3, 4)),),
+    "walking": (DEFAULT,),
     "reward": (DEFAULT, Variant("1x-plain", {"walk.reward": "plain"})),
     "rate": (DEFAULT, Variant("1x-1000hz", {"physics_hz": "1000"})),
     "learning_speeds": tuple(
