@@ -46,7 +46,7 @@ def quoted():
 
 
 def learned():
-    """What the five seeds of the walk say in the README."""
+    """What the seeds of the walk say in the README."""
     found = {row["quantity"]: row for row in rows("walking", variant="1x")}
     best, plain = found["best_return_weighted"], found["best_return_plain"]
     samples, seconds = found["samples_to_250_weighted"], found["train_s_to_250_weighted"]
