@@ -216,19 +216,22 @@ def _walks(result: Result) -> list[tuple[str, ...]]:
     for subject in subjects:
         if subject in told_speeds:
             continue
-        paper = PAPER_SPEEDS.get(subject) or PAPER_BLENDS.get(subject.removeprefix("blend:"), NO_FIGURE)
+        paper = PAPER_BLENDS.get(subject.removeprefix("blend:"), NO_FIGURE)
         told, speed, up, h = (
             result.value(quantity, subject) for quantity in ("commanded_mps", "speed_mps", "survived_s", "terrain_h_m")
         )
         starts = [r for r in result.content["rows"] if r["subject"] == subject and r.get("quantity") == "starts_up"]
         if told is not None and speed is not None and up is not None:
+            paper = PAPER_SPEEDS.get(subject, NO_FIGURE)
             ours = f"{speed:.2f} m/s (told {told:.2f}), up {up:g} of 10 s"
+            plain = result.value("return_plain", subject)
+            ours += f", return {plain:.1f} by the plain reward" if plain is not None else ""
         elif starts:
             slow, fast = (result.value(f"{end}_speed_mps", subject) for end in ("lowest", "highest"))
             ours = f"{starts[0]['value']:g} of {starts[0]['n']} starts up"
             ours += f", {slow:.2f} to {fast:.2f} m/s" if slow is not None and fast is not None else ""
         elif h is not None:
-            ours = f"h = {h:.2f} m"
+            ours = f"terrain up to h = {h:.2f} m"
         else:
             continue
         rows.append((subject, paper, ours))
