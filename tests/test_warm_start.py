@@ -112,7 +112,7 @@ def test_the_best_policy_is_that_of_the_highest_return_and_under_disturbances_th
 @pytest.mark.parametrize("name", ["nowhere", "empty"])
 def test_a_policy_that_is_not_there_is_refused_before_anything_is_written(tmp_path, name):
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ValueError, match=f"init=.*{name} is none of 1x.*, nor a policy's .npz file, nor a run"):
+    with pytest.raises(ValueError, match=f"init=.*{name} is none of 0x, .*, nor a policy's .npz file, nor a run"):
         session(tmp_path / "run", init=str(tmp_path / name))
     assert not (tmp_path / "run").exists()
 
