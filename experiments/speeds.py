@@ -78,13 +78,15 @@ def follow(policy: PolicySubject, factors: np.ndarray, starts: int = STARTS) -> 
 
 def draw(path: Path, rows: list[dict[str, Any]], walk: Ride | None) -> None:
     """Draw tracked against commanded speed, and the profile with what became of it."""
-    figure = Figure(figsize=(11, 3.8), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1, 2))
+    widths = (1,) if walk is None else (1, 2)
+    figure = Figure(figsize=(3.7 * sum(widths), 3.8), layout="constrained")
+    left, *rest = figure.subplots(1, len(widths), width_ratios=widths, squeeze=False)[0]
     told, kept = ([row["value"] for row in rows if row["quantity"] == name] for name in ("commanded_mps", "speed_mps"))
     left.plot(told, kept, "o", ms=4)
     left.axline((0, 0), slope=1, color="black", lw=0.8, ls="--")
     left.set(xlabel="commanded, m/s", ylabel="mean over the last 5 s of 10, m/s", title="steady walking")
     if walk is not None:
+        (right,) = rest
         right.plot(walk.time_s, walk.up_mps.T, color="tab:blue", lw=0.6, alpha=0.6)
         right.plot(walk.time_s, walk.commanded_mps, color="black", lw=1.2, ls="--")
         right.set(xlabel="s", ylabel="speed over a stride, m/s", title=f"{len(walk.up_mps)} of {len(walk.fell)} up")

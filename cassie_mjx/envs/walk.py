@@ -156,8 +156,8 @@ class WalkEnv:
         zeros = jnp.zeros(len(phase))
         ended = jnp.zeros(len(phase), bool)
         metrics = {name: zeros for name in (*_METRICS, *reward.Terms._fields)}
-        level = zeros[:, None]
-        return WalkState(physics, disturbance, clock, seen, seen, level, level, zeros, ended, ended, metrics)
+        lead = zeros[:, None]
+        return WalkState(physics, disturbance, clock, seen, seen, lead, lead, zeros, ended, ended, metrics)
 
     def step(self, state: WalkState, action: Array, key: jax.Array) -> WalkState:
         """One control step of 32 ms; robots whose episode ends start anew at a phase and speed drawn with `key`.
