@@ -8,7 +8,8 @@ import os
 import signal
 import sys
 import time
-from dataclasses import asdict, dataclass
+from collections import Counter
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import FrameType
 
@@ -49,8 +50,8 @@ class Lap:
     train_s: float = 0.0
     """Time in training, s."""
     iterations: int = 0
-    nan: int = 0
-    """Robots whose physics diverged, and whose episode ended with that."""
+    ends: Counter[str] = field(default_factory=Counter)
+    """Episodes that ended by each of `walk.ENDS`."""
 
 
 class Session:
@@ -122,8 +123,8 @@ class Session:
         elapsed = time.perf_counter() - began
         self._count(elapsed)
         self.lap.iterations += 1
-        self.lap.nan += int(metrics.nan)
-        if metrics.nan and not self.diagnosed:
+        self.lap.ends.update({name: int(count) for name, count in metrics.ends.items()})
+        if metrics.ends["nan"] and not self.diagnosed:
             self._diagnose(before)
         rate = self.config.ppo.num_samples / elapsed
         self.terminal.advance(float(metrics.update.reward), self._episode_steps(metrics), rate)
@@ -179,7 +180,7 @@ class Session:
             "train/iteration": self.done,
             "train/samples": self.samples,
             "train/episode_steps": self._episode_steps(metrics),
-            "train/nan": lap.nan,
+            **{f"train/{name}": count for name, count in lap.ends.items()},
             "time/train_s": self.counters.train_s,
             "time/samples_per_s": lap.iterations * self.config.ppo.num_samples / lap.train_s,
             "time/physics_steps_per_s": lap.iterations * self.trainer.physics_steps / lap.train_s,

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from cassie_mjx import devices, diagnosis, export, robot
 from cassie_mjx.config import PPOConfig, speed_factors
 from cassie_mjx.envs import observation
-from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.envs.walk import ENDS, WalkConfig, WalkEnv
 from cassie_mjx.export import NumpyPolicy
 from cassie_mjx.metrics import Stopwatch
 from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx, steps_per_control
@@ -81,8 +81,8 @@ class IterationMetrics(NamedTuple):
     """Scalars of one iteration."""
 
     update: UpdateMetrics
-    nan: jax.Array
-    """Robots whose physics diverged."""
+    ends: dict[str, jax.Array]
+    """Episodes that ended by each of `walk.ENDS`; one may have ended by several."""
 
 
 def resolve(config: TrainConfig) -> TrainConfig:
@@ -206,7 +206,8 @@ def iterate(
     collect_key, update_key = iteration_keys(run)
     env_state, experience = collect(run.learner.policy, run.env, collect_key)
     state, metrics = update(run.learner, experience, update_key)
-    return RunState(state, env_state, run.key), IterationMetrics(metrics, experience.metrics["nan"].sum())
+    ends = {name: experience.metrics[name].sum() for name in ENDS}
+    return RunState(state, env_state, run.key), IterationMetrics(metrics, ends)
 
 
 def iteration_keys(run: RunState) -> jax.Array:

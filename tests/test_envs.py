@@ -10,7 +10,7 @@ import pytest
 
 from cassie_mjx import robot
 from cassie_mjx.envs import observation, reward
-from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.envs.walk import ENDS, WalkConfig, WalkEnv
 from cassie_mjx.model import MJX_TRAINING, load, load_for_mjx
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
@@ -144,6 +144,8 @@ def test_episodes_end_by_falls_low_rewards_and_length(native, motion):
         for i in range(steps):
             state = env.step(state, np.full((ROBOTS, 10), action), jax.random.key(i))
             ends.append((np.asarray(state.terminated), np.asarray(state.truncated), np.asarray(state.reward)))
+            causes = np.any([np.asarray(state.metrics[name]) for name in ENDS], axis=0)
+            np.testing.assert_array_equal(causes, state.terminated)
         return [np.array(x) for x in zip(*ends, strict=True)], state
 
     (terminated, truncated, rewards), _ = run(WalkConfig(early_end_reward=0.6), 40)
@@ -165,6 +167,7 @@ def test_robots_far_from_the_reference_end_their_episode_and_the_critic_is_told_
     after = env.step(state, np.zeros((ROBOTS, 10)), jax.random.key(0))
     ended = np.asarray(after.terminated)
     np.testing.assert_array_equal(ended, abs(moved) > 0.3)
+    np.testing.assert_array_equal(after.metrics["strayed"], ended)
     np.testing.assert_allclose(after.final_privileged[:, 0], moved / 0.25, atol=0.05)
     np.testing.assert_array_equal(after.privileged, np.where(ended[:, None], 0, after.final_privileged))
 

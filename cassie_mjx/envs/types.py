@@ -43,7 +43,8 @@ class WalkState:
       terminated: the last step ended the episode in a fall, a NaN, too low a reward or too far from the
         reference, [B], bool.
       truncated: the last step was the last of a full-length episode, [B], bool.
-      metrics: of the last step, each [B]: the unweighted reward terms, `plain` and `weighted` rewards, `nan`, `fallen`.
+      metrics: of the last step, each [B]: the unweighted reward terms, `plain` and `weighted` rewards, and 0 or 1 for
+        each of `walk.ENDS`.
     """
 
     physics: PhysicsState

@@ -80,6 +80,9 @@ T = TypeVar("T")
 _SPEED_KEY, _DISTURBANCE_KEY = 2, 3
 
 
+ENDS = ("nan", "fallen", "low_reward", "strayed")
+"""What an episode can end by before its time, as `WalkState.metrics` names it; a NaN is a fall too."""
+
 # Unit in which a critic is told how far a robot is ahead: half of what ends an episode, so of the order of 1.
 LEAD_M = 0.25
 
@@ -155,7 +158,7 @@ class WalkEnv:
         disturbance = _beside(physics, disturbance)
         zeros = jnp.zeros(len(phase))
         ended = jnp.zeros(len(phase), bool)
-        metrics = {name: zeros for name in (*_METRICS, *reward.Terms._fields)}
+        metrics = {name: zeros for name in (*reward.SCALES, *reward.Terms._fields, *ENDS)}
         lead = zeros[:, None]
         return WalkState(physics, disturbance, clock, seen, seen, lead, lead, zeros, ended, ended, metrics)
 
@@ -248,6 +251,7 @@ class WalkEnv:
         truncated = ~terminated & (clock.step >= self.config.episode_steps)
 
         ended = terminated | truncated
+        causes = dict(zip(ENDS, (nan, fallen, low, left), strict=True))
         disturbance = self._renew(disturbance, clock, ended, key)
         fresh = self._start_states(*self._draw(key, len(nan)), disturbance.terrain)
         fresh_clock, fresh_qpos, fresh_qvel, fresh_seen = fresh
@@ -265,8 +269,8 @@ class WalkEnv:
                 "reward": earned,
                 "terminated": terminated,
                 "truncated": truncated,
-                "metrics": {**rewards, "nan": nan.astype(earned.dtype), "fallen": fallen.astype(earned.dtype)}
-                | terms[self.config.reward]._asdict(),
+                "metrics": {**rewards, **terms[self.config.reward]._asdict()}
+                | {name: cause.astype(earned.dtype) for name, cause in causes.items()},
             },
         )
 
@@ -285,6 +289,3 @@ class WalkEnv:
 def _beside(physics: PhysicsState, tree: T) -> T:
     """`tree` where the physics is: as NumPy arrays if the engine runs on the host."""
     return jax.tree.map(np.asarray, tree) if isinstance(physics.qpos, np.ndarray) else tree
-
-
-_METRICS = (*reward.SCALES, "nan", "fallen")

@@ -117,6 +117,7 @@ def update(
     metrics = UpdateMetrics(
         **average(local, axis_name),
         explained_variance=explained_variance,
+        action_std=state.policy.std,
         actor_learning_rate=rates.actor,
         critic_learning_rate=rates.critic,
     )

@@ -124,5 +124,7 @@ class UpdateMetrics(NamedTuple):
     """Fraction of the samples whose probability ratio ended outside the clip interval, over the whole batch."""
     explained_variance: Float[Array, ""]
     """1 - Var[target - value] / Var[target] of the critic that the update began with; 1 is perfect, 0 a constant."""
+    action_std: Float[Array, ""]
+    """Standard deviation of the exploration noise that collected the rollout, rad."""
     actor_learning_rate: Float[Array, ""]
     critic_learning_rate: Float[Array, ""]
