@@ -30,7 +30,7 @@ def referee(
       speeds: lowest and highest factor on the motion's speed; the ten robots have ten from the one to the other.
     """
     physics = physics or NativePhysics(load(ModelConfig(physics_hz=2000)))
-    config = WalkConfig(episode_steps=EPISODE_STEPS, damping=physics.damping).to_the_fall()
+    config = WalkConfig(episode_steps=EPISODE_STEPS, command_s=None, damping=physics.damping).to_the_fall()
     return WalkEnv(physics, motion, config, STARTS, speeds)
 
 

@@ -1,8 +1,8 @@
 """How well policies keep the speed they are told: `python -m experiments.speeds out=speeds.json plot=speeds.png`.
 
 Each policy walks at its own speed, and one that was trained at any speed at twenty, from 0x to 4x, and after a profile
-that jumps to another speed every 2 s for a minute. MuJoCo C at 2 kHz. How they learn, `experiments.learning
-study=learning_speeds` shows.
+that commands another speed every 2 s for a minute, to which the reference moves by 0.625x a second, as in training.
+MuJoCo C at 2 kHz. How they learn, `experiments.learning study=learning_speeds` shows.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from cassie_mjx import cli, interpolate, subjects, suites
+from cassie_mjx.envs import clock
 from cassie_mjx.envs.walk import WalkConfig, WalkEnv
 from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
@@ -59,20 +60,22 @@ def profile(seed: int) -> np.ndarray:
 
 
 def follow(policy: PolicySubject, factors: np.ndarray, starts: int = STARTS) -> Ride:
-    """Walk from `starts` phases of the stride, told a factor [T] on the motion's speed at every control step."""
+    """Walk from `starts` phases of the stride, commanded a factor [T] on the motion's speed at every control step."""
     task = WalkConfig(episode_steps=len(factors) + 1, damping=policy.damping).to_the_fall()
     env = WalkEnv(NativePhysics(load(ModelConfig()), damping=policy.damping), policy.motion, task, starts)
     phase = nearest_sample(np.arange(starts) / starts, env.samples) % env.samples
     state = env.reset_at(phase, Disturbance.none(starts), np.full(starts, factors[0]))
     fell, x, commanded_x = np.zeros(starts, bool), [state.physics.qpos[:, 0]], [0.0]
-    speed_mps = interpolate.mean_speed(policy.motion)
+    speed, speed_mps = state.clock.speed, interpolate.mean_speed(policy.motion)
     for factor in factors:
         # The command is seen in the observation that this step leads to.
-        state = replace(state, clock=replace(state.clock, speed=np.full(starts, factor, np.float32)))
+        told = replace(state.clock, speed=speed, command=np.full(starts, factor, np.float32))
+        state = replace(state, clock=clock.paced(env.motion, told))
+        speed = state.clock.speed
         state = env.step(state, policy.mode(state.observation), jax.random.key(0))
         fell |= np.asarray(state.terminated)
         x.append(state.physics.qpos[:, 0])
-        commanded_x.append(commanded_x[-1] + factor * speed_mps * CONTROL_PERIOD_S)
+        commanded_x.append(commanded_x[-1] + float(speed[0]) * speed_mps * CONTROL_PERIOD_S)
     return Ride.of(commanded_x, x, fell, env.samples)
 
 

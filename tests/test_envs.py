@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cassie_mjx import robot
-from cassie_mjx.envs import observation, reward
+from cassie_mjx.envs import clock, observation, reward
 from cassie_mjx.envs.walk import ENDS, WalkConfig, WalkEnv
 from cassie_mjx.model import MJX_TRAINING, load, load_for_mjx
 from cassie_mjx.physics.mjx import MjxPhysics
@@ -99,7 +99,7 @@ def test_a_step_follows_the_pd_law_to_the_next_sample(env, native, motion):
 
 
 def test_every_episode_has_a_speed_of_its_own(native, motion):
-    env = WalkEnv(native, motion, WalkConfig(episode_steps=2), 64, speeds=(0.0, 4.0))
+    env = WalkEnv(native, motion, WalkConfig(episode_steps=2, command_s=None), 64, speeds=(0.0, 4.0))
     key = jax.random.key(4)
     state = env.reset(key)
     speed = np.asarray(state.clock.speed)
@@ -118,6 +118,42 @@ def test_every_episode_has_a_speed_of_its_own(native, motion):
     anew = env.step(after, np.zeros((64, 10)), jax.random.key(6))
     assert anew.truncated[going].any()
     assert (np.asarray(anew.clock.speed) != speed)[np.asarray(anew.truncated)].all()
+
+
+def test_robots_are_told_new_speeds_and_are_brought_there_slowly(native, motion):
+    task = WalkConfig(command_s=0.32, x_limit_m=None)
+    env = WalkEnv(native, motion, task, 64, speeds=(0.0, 4.0))
+    state = env.reset(jax.random.key(4))
+    changes, ends = 0, 0
+    for i in range(30):
+        after = env.step(state, np.zeros((64, 10)), jax.random.key(i))
+        speed, command = np.asarray(state.clock.speed), np.asarray(after.clock.command)
+        moved = np.asarray(after.clock.speed) - speed
+        np.testing.assert_allclose(moved, np.clip(command - speed, -0.02, 0.02), atol=1e-5)
+        going = ~np.asarray(after.terminated | after.truncated)
+        # What robots are compared with goes on from where it was, at the speed that they were told before.
+        (now, _), (then, _) = clock.reference(env.motion, state.clock), clock.reference(env.motion, after.clock)
+        gained = (clock.reference(env.motion, state.clock, ahead=1)[0] - now)[:, 0]
+        np.testing.assert_allclose((then - now)[going, 0], gained[going], atol=1e-5)
+        changes += (command != np.asarray(state.clock.command)).sum()
+        ends += (~going).sum()
+        state = after
+    assert 100 < changes < 300, "30 steps of 64 robots, one in ten of which tells a robot something new"
+    assert ends > 64
+    one_speed = WalkEnv(native, motion, task, ROBOTS).reset(jax.random.key(4))
+    np.testing.assert_array_equal(one_speed.clock.command, 1.0)
+
+
+def test_robots_may_start_at_another_velocity(native, motion):
+    apart = WalkEnv(native, motion, WalkConfig(start_velocity_mps=0.5), 256).reset(jax.random.key(7))
+    reference = motion.qvel[np.asarray(apart.clock.phase)]
+    extra = apart.physics.qvel - reference
+    np.testing.assert_allclose(extra[:, 2:], 0, atol=1e-6)
+    size = np.linalg.norm(extra[:, :2], axis=1)
+    assert 0.45 < size.max() <= 0.5
+    assert abs(size.mean() - 0.25) < 0.03
+    assert np.abs(extra[:, :2].mean(axis=0)).max() < 0.05, "any direction is as likely as its opposite"
+    np.testing.assert_allclose(apart.observation[:, 6:8], apart.physics.qvel[:, :2], atol=1e-6)
 
 
 def test_one_speed_for_all_is_the_stretched_motion_from_the_same_phases(native, motion):
@@ -205,6 +241,10 @@ def test_bad_configurations():
         WalkConfig(early_end_reward=1.5)
     with pytest.raises(ValueError, match="x_limit_m=0 must be greater than 0, or null"):
         WalkConfig(x_limit_m=0)
+    with pytest.raises(ValueError, match="start_velocity_mps=-1 must be from 0 to 3"):
+        WalkConfig(start_velocity_mps=-1)
+    with pytest.raises(ValueError, match=r"command_s=0 must be at least 0\.032, or null"):
+        WalkConfig(command_s=0)
     with pytest.raises(ValueError, match="episode_steps=0 must be at least 1"):
         WalkConfig(episode_steps=0)
 

@@ -16,13 +16,17 @@ class Clock:
       phase: sample of the stride, [B], int32, 0 to N - 1.
       stride: strides since the start of the episode, [B], int32.
       step: control steps since the start of the episode, [B], int32.
-      speed: factor on the motion's speed along x in this episode, [B].
+      speed: factor on the motion's speed along x at present, [B].
+      command: the factor that robots are told, to which `speed` moves, [B].
+      origin_x: world x of the point where the motion's x is 0, [B], m.
     """
 
     phase: Array
     stride: Array
     step: Array
     speed: Array
+    command: Array
+    origin_x: Array
 
 
 @jax.tree_util.register_dataclass

@@ -12,12 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from cassie_mjx import robot
+from cassie_mjx.envs import clock as clocks
 from cassie_mjx.envs import observation, reward
-from cassie_mjx.envs.disturbance import CREST_X_M, DisturbanceConfig, draw, renew
+from cassie_mjx.envs.disturbance import DisturbanceConfig, draw, renew
 from cassie_mjx.envs.types import Clock, WalkState
-from cassie_mjx.model import steps_per_control
+from cassie_mjx.model import CONTROL_PERIOD_S, steps_per_control
 from cassie_mjx.physics.types import Array, Disturbance, Physics, PhysicsState, delayed, merge
-from cassie_mjx.reference import ReferenceMotion, sample, stretch_states
+from cassie_mjx.reference import ReferenceMotion
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,12 @@ class WalkConfig:
     Without it robots that are told to walk fast learn to do without the position's share of the reward."""
     episode_steps: int = 300
     """Control steps of a full episode; 300 are 9.6 s."""
+    start_velocity_mps: float = 0.0
+    """How far from the reference's the pelvis' horizontal velocity may be as an episode begins, m/s, in any direction.
+
+    Robots learn from it to come back to the speed that they are told."""
+    command_s: float | None = 4.0
+    """Mean time until robots that can be told several speeds are told another one, s; null for one speed an episode."""
     damping: float = 1.0
     """Factor on the published D gains of the PD law; with less, robots bear to sense and act later."""
     disturbance: DisturbanceConfig = field(default_factory=DisturbanceConfig)
@@ -47,6 +54,10 @@ class WalkConfig:
             raise ValueError(f"early_end_reward={self.early_end_reward} must be from 0 to below 1, or null.")
         if self.x_limit_m is not None and not self.x_limit_m > 0:
             raise ValueError(f"x_limit_m={self.x_limit_m} must be greater than 0, or null.")
+        if not 0 <= self.start_velocity_mps <= 3:
+            raise ValueError(f"start_velocity_mps={self.start_velocity_mps} must be from 0 to 3.")
+        if self.command_s is not None and not self.command_s >= CONTROL_PERIOD_S:
+            raise ValueError(f"command_s={self.command_s} must be at least {CONTROL_PERIOD_S}, or null.")
         if self.episode_steps < 1:
             raise ValueError(f"episode_steps={self.episode_steps} must be at least 1.")
         if not 0 <= self.damping <= 1:
@@ -75,9 +86,9 @@ WALK_PRESETS = {
 
 T = TypeVar("T")
 
-# What the key of a step or reset is folded with for speeds and for disturbances. As it is, it draws phases, for which
-# `randint` splits it in two: folding with 0 or 1 would give those halves again.
-_SPEED_KEY, _DISTURBANCE_KEY = 2, 3
+# What the key of a step or reset is folded with for all but phases, which it draws as it is: `randint` splits it in
+# two, and folding with 0 or 1 would give those halves again.
+_SPEED_KEY, _DISTURBANCE_KEY, _VELOCITY_KEY, _COMMAND_KEY = 2, 3, 4, 5
 
 
 ENDS = ("nan", "fallen", "low_reward", "strayed")
@@ -138,22 +149,28 @@ class WalkEnv:
 
     def reset(self, key: jax.Array) -> WalkState:
         """Robots on the reference motion, each at a phase, at a speed and under a disturbance drawn at random."""
-        phase, speed = self._draw(key, self.robots)
+        phase, speed, velocity = self._draw(key, self.robots)
         disturbance = Disturbance.none(self.robots)
         if self.config.disturbance.active:
             disturbance_key = jax.random.fold_in(key, _DISTURBANCE_KEY)
             disturbance = draw(self.config.disturbance, disturbance_key, self.robots, self._physics_hz)
-        return self.reset_at(phase, disturbance, speed)
+        return self.reset_at(phase, disturbance, speed, velocity)
 
-    def reset_at(self, phase: Array, disturbance: Disturbance, speed: Array | None = None) -> WalkState:
-        """Robots on the reference motion at the samples `phase` [B] of the stride, under `disturbance`.
+    def reset_at(
+        self, phase: Array, disturbance: Disturbance, speed: Array | None = None, velocity: Array | None = None
+    ) -> WalkState:
+        """Robots on the reference motion, under `disturbance`; on terrain with the pelvis above a crest.
 
-        `speed` [B] are factors on the motion's speed; if none are given, they go evenly from the lowest to the highest.
-        On terrain the pelvis starts above a crest.
+        Args:
+          phase: samples of the stride, [B].
+          disturbance: what acts on them from now on.
+          speed: factors on the motion's speed, [B]; evenly from the lowest to the highest unless given.
+          velocity: what the pelvis' velocity along x and y is on top of the reference's, [B, 2], m/s; 0 unless given.
         """
         speed = np.linspace(*self.speeds, len(phase)) if speed is None else speed
+        velocity = np.zeros((len(phase), 2)) if velocity is None else velocity
         phase, speed = jnp.asarray(phase, jnp.int32), jnp.asarray(speed, jnp.float32)
-        clock, qpos, qvel, seen = self._start(phase, speed, disturbance.terrain)
+        clock, qpos, qvel, seen = self._start(phase, speed, jnp.asarray(velocity, jnp.float32), disturbance.terrain)
         physics = self.physics.init(qpos, qvel)
         disturbance = _beside(physics, disturbance)
         zeros = jnp.zeros(len(phase))
@@ -185,38 +202,33 @@ class WalkEnv:
         )
 
     def _pd_target(self, clock: Clock, action: jax.Array) -> jax.Array:
-        reference, _ = self._reference(clock, ahead=1)
+        reference, _ = clocks.reference(self.motion, clock, ahead=1)
         return reference[:, robot.ACTIVE_QPOS] + action
 
-    def _draw(self, key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array]:
-        """Phase and speed of new episodes, each [robots]: of a device's share of the B robots if there are several."""
+    def _draw(self, key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Phase [robots], speed [robots] and extra velocity [robots, 2] of new episodes.
+
+        `robots` is a device's share of the B robots if there are several.
+        """
         phase = jax.random.randint(key, (robots,), 0, self.samples)
         low, high = self.speeds
         speed_key = jax.random.fold_in(key, _SPEED_KEY)
-        return phase, jax.random.uniform(speed_key, (robots,), minval=low, maxval=high)
-
-    def _reference(self, clock: Clock, ahead: int = 0) -> tuple[jax.Array, jax.Array]:
-        """The motion at each robot's speed, `ahead` control steps from now: (qpos [B, 35], qvel [B, 32])."""
-        return stretch_states(*sample(self.motion, clock.phase + ahead, clock.stride), clock.speed)
+        speed = jax.random.uniform(speed_key, (robots,), minval=low, maxval=high)
+        size_key, angle_key = jax.random.split(jax.random.fold_in(key, _VELOCITY_KEY))
+        size = jax.random.uniform(size_key, (robots, 1), maxval=self.config.start_velocity_mps)
+        angle = jax.random.uniform(angle_key, (robots,), maxval=2 * jnp.pi)
+        return phase, speed, size * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
 
     def _observe(self, clock: Clock, qpos: jax.Array, qvel: jax.Array) -> jax.Array:
-        return observation.build(qpos, qvel, *self._reference(clock, ahead=1))
+        return observation.build(qpos, qvel, *clocks.reference(self.motion, clock, ahead=1))
 
     def _start_states(
-        self, phase: jax.Array, speed: jax.Array, terrain: jax.Array
+        self, phase: jax.Array, speed: jax.Array, velocity: jax.Array, terrain: jax.Array
     ) -> tuple[Clock, jax.Array, jax.Array, jax.Array]:
-        zeros = jnp.zeros_like(phase)
-        clock = Clock(phase, zeros, zeros, speed)
-        qpos, qvel = self._reference(clock)
-        qpos = qpos.at[:, 0].add(self._origin(clock, terrain)).at[:, 2].add(terrain)
+        clock = clocks.start(self.motion, phase, speed, terrain)
+        qpos, qvel = clocks.reference(self.motion, clock)
+        qpos, qvel = qpos.at[:, 2].add(terrain), qvel.at[:, :2].add(velocity)
         return clock, qpos, qvel, self._observe(clock, qpos, qvel)
-
-    def _origin(self, clock: Clock, terrain: jax.Array) -> jax.Array:
-        """World x of the point where the reference motion's x is 0, [B], m: on terrain, episodes start on the crest."""
-        zeros = jnp.zeros_like(clock.step)
-        start = replace(clock, phase=clock.phase + self.samples * clock.stride - clock.step, stride=zeros)
-        first, _ = self._reference(start)
-        return (terrain > 0) * (CREST_X_M - first[:, 0])
 
     def _judge_step(
         self,
@@ -228,16 +240,16 @@ class WalkEnv:
         sensed_qvel: jax.Array,
         key: jax.Array,
     ) -> _Judgement:
-        clock = self._tick(before)
-        reference, reference_velocity = self._reference(clock)
+        clock = clocks.tick(self.motion, before)
+        reference, reference_velocity = clocks.reference(self.motion, clock)
         nan = ~(jnp.isfinite(qpos).all(axis=1) & jnp.isfinite(qvel).all(axis=1))
         qpos, sensed_qpos, sensed_qvel = merge(
             nan, (reference, reference, reference_velocity), (qpos, sensed_qpos, sensed_qvel)
         )
 
-        # The reference walks on flat ground: its x counts from the start of the episode, its z from the ground below.
+        # The reference walks on flat ground: its z counts from the ground below.
         ground = disturbance.terrain * jnp.sin(qpos[:, 0])
-        walked = qpos.at[:, 0].add(-self._origin(clock, disturbance.terrain)).at[:, 2].add(-ground)
+        walked = qpos.at[:, 2].add(-ground)
         terms = {name: reward.terms(scale, walked, reference) for name, scale in reward.SCALES.items()}
         rewards = {name: jnp.where(nan, 0.0, reward.total(values)) for name, values in terms.items()}
         earned = rewards[self.config.reward]
@@ -253,8 +265,14 @@ class WalkEnv:
         ended = terminated | truncated
         causes = dict(zip(ENDS, (nan, fallen, low, left), strict=True))
         disturbance = self._renew(disturbance, clock, ended, key)
-        fresh = self._start_states(*self._draw(key, len(nan)), disturbance.terrain)
-        fresh_clock, fresh_qpos, fresh_qvel, fresh_seen = fresh
+        clock = self._command(clock, key)
+        phase, speed, velocity = self._draw(key, len(nan))
+        speed = clock.speed if self._commands else speed
+        fresh_clock, fresh_qpos, fresh_qvel, fresh_seen = self._start_states(
+            phase, speed, velocity, disturbance.terrain
+        )
+        if self._commands:
+            fresh_clock = replace(fresh_clock, command=clock.command)
         seen = self._observe(clock, sensed_qpos, sensed_qvel)
         return _Judgement(
             fresh_qpos,
@@ -281,9 +299,19 @@ class WalkEnv:
         disturbance_key = jax.random.fold_in(key, _DISTURBANCE_KEY)
         return renew(config, disturbance_key, disturbance, clock.step * self._substeps, ended, self._physics_hz)
 
-    def _tick(self, clock: Clock) -> Clock:
-        phase = clock.phase + 1
-        return Clock(phase % self.samples, clock.stride + phase // self.samples, clock.step + 1, clock.speed)
+    @property
+    def _commands(self) -> bool:
+        """Whether robots are told new speeds as they walk; each then keeps its own when it starts anew.
+
+        So every speed is walked for as long as every other, however early its episodes end.
+        """
+        return self.config.command_s is not None and self.speeds[0] < self.speeds[1]
+
+    def _command(self, clock: Clock, key: jax.Array) -> Clock:
+        if self.config.command_s is None or not self._commands:
+            return clock
+        command_key = jax.random.fold_in(key, _COMMAND_KEY)
+        return clocks.paced(self.motion, clocks.told(clock, command_key, self.speeds, self.config.command_s))
 
 
 def _beside(physics: PhysicsState, tree: T) -> T:
