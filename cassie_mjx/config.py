@@ -54,7 +54,7 @@ class PPOConfig:
     action_std: float = 0.134
     """Standard deviation of the exploration noise on every action at iteration 0, rad (*paper*: covariance 0.018)."""
 
-    final_action_std: float | None = 0.05
+    final_action_std: float | None = 0.1
     """What it has become, linearly, by the last iteration, rad; null for what it was.
 
     Noise slows robots down: a policy that keeps pace with it is too fast without.

@@ -22,6 +22,7 @@ from rich.table import Table
 from cassie_mjx import checkpoint, cli
 from cassie_mjx.config import PPO_PRESETS
 from cassie_mjx.envs.disturbance import DisturbanceConfig
+from cassie_mjx.envs.walk import WalkConfig
 from cassie_mjx.run_directory import comparable
 from cassie_mjx.training import TrainConfig
 from experiments import plots
@@ -67,18 +68,22 @@ PAPER = {
     "walk.reward": "plain",
     "walk.early_end_reward": "0.6",
     "walk.x_limit_m": "null",
+    "walk.start_velocity_mps": "0",
     ACTOR: "1e-3",
     CRITIC: "1e-2",
 }
 DEFAULT = Variant("1x", {})
 
 LATER = {"init": None, "ppo.privileged_critic": False, "ppo.final_action_std": None}
-LATER |= {"walk.x_limit_m": None, "walk.damping": 1.0}
+LATER |= {"walk.x_limit_m": None, "walk.damping": 1.0, "walk.start_velocity_mps": 0}
+# What means nothing to robots of one speed, as all of those runs have.
+LATER |= {"walk.command_s": WalkConfig().command_s}
 LATER |= {f"walk.disturbance.{name}": value for name, value in vars(DisturbanceConfig()).items()}
 """How runs were trained whose configuration does not name these yet."""
 
 STUDIES = {
     "walking": (DEFAULT,),
+    "starts": (DEFAULT, Variant("1x-exact-starts", {"walk.start_velocity_mps": "0"})),
     "reward": (DEFAULT, Variant("1x-plain", {"walk.reward": "plain"})),
     "rate": (DEFAULT, Variant("1x-1000hz", {"physics_hz": "1000"})),
     "learning_speeds": tuple(

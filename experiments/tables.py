@@ -76,6 +76,7 @@ WALKERS = {
     "compliant": "controller_compliant.json",
     "stiff": "controller_stiff.json",
     "1x": "evaluate/1x-seed*.json",
+    "1x-exact-starts": "evaluate/1x-exact-starts-seed*.json",
     "1x-robust": "evaluate/1x-robust-seed*.json",
 }
 """Our walkers, and the glob pattern of their evaluations: a policy has one for each seed that it was trained with."""

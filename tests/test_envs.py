@@ -19,6 +19,7 @@ from cassie_mjx.reference import resolve, sample, stretch
 
 ROBOTS = 8
 MODEL = replace(MJX_TRAINING, iterations=100)
+ON_THE_REFERENCE = WalkConfig(start_velocity_mps=0)
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,7 @@ def native():
 
 @pytest.fixture(scope="module")
 def env(native, motion):
-    return WalkEnv(native, motion, WalkConfig(), ROBOTS)
+    return WalkEnv(native, motion, ON_THE_REFERENCE, ROBOTS)
 
 
 def test_observation_is_eighty_numbers_of_the_table():
@@ -99,7 +100,7 @@ def test_a_step_follows_the_pd_law_to_the_next_sample(env, native, motion):
 
 
 def test_every_episode_has_a_speed_of_its_own(native, motion):
-    env = WalkEnv(native, motion, WalkConfig(episode_steps=2, command_s=None), 64, speeds=(0.0, 4.0))
+    env = WalkEnv(native, motion, replace(ON_THE_REFERENCE, episode_steps=2, command_s=None), 64, speeds=(0.0, 4.0))
     key = jax.random.key(4)
     state = env.reset(key)
     speed = np.asarray(state.clock.speed)
@@ -144,7 +145,7 @@ def test_robots_are_told_new_speeds_and_are_brought_there_slowly(native, motion)
     np.testing.assert_array_equal(one_speed.clock.command, 1.0)
 
 
-def test_robots_may_start_at_another_velocity(native, motion):
+def test_robots_start_at_velocities_of_their_own(native, motion):
     apart = WalkEnv(native, motion, WalkConfig(start_velocity_mps=0.5), 256).reset(jax.random.key(7))
     reference = motion.qvel[np.asarray(apart.clock.phase)]
     extra = apart.physics.qvel - reference
@@ -158,8 +159,8 @@ def test_robots_may_start_at_another_velocity(native, motion):
 
 def test_one_speed_for_all_is_the_stretched_motion_from_the_same_phases(native, motion):
     key = jax.random.key(7)
-    fast = WalkEnv(native, motion, WalkConfig(), ROBOTS, speeds=(2.0, 2.0)).reset(key)
-    stretched = WalkEnv(native, stretch(motion, 2.0), WalkConfig(), ROBOTS).reset(key)
+    fast = WalkEnv(native, motion, ON_THE_REFERENCE, ROBOTS, speeds=(2.0, 2.0)).reset(key)
+    stretched = WalkEnv(native, stretch(motion, 2.0), ON_THE_REFERENCE, ROBOTS).reset(key)
     np.testing.assert_array_equal(fast.clock.phase, jax.random.randint(key, (ROBOTS,), 0, 22))
     np.testing.assert_array_equal(stretched.clock.speed, 1.0)
     np.testing.assert_array_equal(fast.physics.qpos, stretched.physics.qpos)

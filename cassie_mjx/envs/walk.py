@@ -35,10 +35,11 @@ class WalkConfig:
     Without it robots that are told to walk fast learn to do without the position's share of the reward."""
     episode_steps: int = 300
     """Control steps of a full episode; 300 are 9.6 s."""
-    start_velocity_mps: float = 0.0
+    start_velocity_mps: float = 0.5
     """How far from the reference's the pelvis' horizontal velocity may be as an episode begins, m/s, in any direction.
 
-    Robots learn from it to come back to the speed that they are told."""
+    It is drawn for each episode. Robots learn from it to come back to the speed that they are told, sooner than by
+    losing it themselves; 0 starts every episode on the reference, as in the paper."""
     command_s: float | None = 4.0
     """Mean time until robots that can be told several speeds are told another one, s; null for one speed an episode."""
     damping: float = 1.0
