@@ -91,7 +91,6 @@ T = TypeVar("T")
 # two, and folding with 0 or 1 would give those halves again.
 _SPEED_KEY, _DISTURBANCE_KEY, _VELOCITY_KEY, _COMMAND_KEY = 2, 3, 4, 5
 
-
 ENDS = ("nan", "fallen", "low_reward", "strayed")
 """What an episode can end by before its time, as `WalkState.metrics` names it; a NaN is a fall too."""
 
@@ -126,12 +125,14 @@ class WalkEnv:
           motion: what to imitate.
           config: the task's parameters.
           robots: B, robots side by side.
-          speeds: lowest and highest factor on the motion's speed; each episode has one between them.
+          speeds: lowest and highest factor on the motion's speed that robots are told.
 
         Raises:
           ValueError: the engine is made for shorter delays than the task draws, or for another damping than its own.
         """
         self.physics, self.config, self.robots, self.speeds = physics, config, robots, speeds
+        # Mean time between the speeds that a robot is told, s; None if it is told one alone.
+        self._command_s = config.command_s if speeds[0] < speeds[1] else None
         self.motion = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), motion)
         self.samples = motion.qpos.shape[0]
         self._physics_hz = round(1 / physics.model.opt.timestep)
@@ -268,11 +269,12 @@ class WalkEnv:
         disturbance = self._renew(disturbance, clock, ended, key)
         clock = self._command(clock, key)
         phase, speed, velocity = self._draw(key, len(nan))
-        speed = clock.speed if self._commands else speed
-        fresh_clock, fresh_qpos, fresh_qvel, fresh_seen = self._start_states(
-            phase, speed, velocity, disturbance.terrain
-        )
-        if self._commands:
+        # Robots that are told speeds as they walk start anew at the same, so that every speed is walked for as long as
+        # every other, however early its episodes end.
+        speed = speed if self._command_s is None else clock.speed
+        fresh = self._start_states(phase, speed, velocity, disturbance.terrain)
+        fresh_clock, fresh_qpos, fresh_qvel, fresh_seen = fresh
+        if self._command_s is not None:
             fresh_clock = replace(fresh_clock, command=clock.command)
         seen = self._observe(clock, sensed_qpos, sensed_qvel)
         return _Judgement(
@@ -300,19 +302,11 @@ class WalkEnv:
         disturbance_key = jax.random.fold_in(key, _DISTURBANCE_KEY)
         return renew(config, disturbance_key, disturbance, clock.step * self._substeps, ended, self._physics_hz)
 
-    @property
-    def _commands(self) -> bool:
-        """Whether robots are told new speeds as they walk; each then keeps its own when it starts anew.
-
-        So every speed is walked for as long as every other, however early its episodes end.
-        """
-        return self.config.command_s is not None and self.speeds[0] < self.speeds[1]
-
     def _command(self, clock: Clock, key: jax.Array) -> Clock:
-        if self.config.command_s is None or not self._commands:
+        if self._command_s is None:
             return clock
         command_key = jax.random.fold_in(key, _COMMAND_KEY)
-        return clocks.paced(self.motion, clocks.told(clock, command_key, self.speeds, self.config.command_s))
+        return clocks.paced(self.motion, clocks.told(clock, command_key, self.speeds, self._command_s))
 
 
 def _beside(physics: PhysicsState, tree: T) -> T:
