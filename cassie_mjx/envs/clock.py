@@ -42,12 +42,21 @@ def tick(motion: ReferenceMotion, clock: Clock) -> Clock:
     return replace(clock, phase=phase % samples, stride=clock.stride + phase // samples, step=clock.step + 1)
 
 
+def draw_speed(key: jax.Array, robots: int, speeds: tuple[float, float]) -> jax.Array:
+    """Speeds to tell robots, [robots], each from the range `speeds`: one in ten its lowest, one in ten its highest.
+
+    As robots move from speed to speed, they would seldom be at the ends of the range otherwise.
+    """
+    low, high = speeds
+    margin = (high - low) / 8
+    return jax.random.uniform(key, (robots,), minval=low - margin, maxval=high + margin).clip(low, high)
+
+
 def told(clock: Clock, key: jax.Array, speeds: tuple[float, float], mean_s: float) -> Clock:
-    """The same moment, after which some robots are told another speed, drawn from `speeds`, each every `mean_s` s."""
+    """The same moment, after which some robots are told another speed, each every `mean_s` seconds on the average."""
     when_key, speed_key = jax.random.split(key)
     new = jax.random.bernoulli(when_key, CONTROL_PERIOD_S / mean_s, clock.command.shape)
-    speed = jax.random.uniform(speed_key, clock.command.shape, minval=speeds[0], maxval=speeds[1])
-    return replace(clock, command=jnp.where(new, speed, clock.command))
+    return replace(clock, command=jnp.where(new, draw_speed(speed_key, len(new), speeds), clock.command))
 
 
 def paced(motion: ReferenceMotion, clock: Clock) -> Clock:

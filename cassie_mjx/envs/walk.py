@@ -213,9 +213,7 @@ class WalkEnv:
         `robots` is a device's share of the B robots if there are several.
         """
         phase = jax.random.randint(key, (robots,), 0, self.samples)
-        low, high = self.speeds
-        speed_key = jax.random.fold_in(key, _SPEED_KEY)
-        speed = jax.random.uniform(speed_key, (robots,), minval=low, maxval=high)
+        speed = clocks.draw_speed(jax.random.fold_in(key, _SPEED_KEY), robots, self.speeds)
         size_key, angle_key = jax.random.split(jax.random.fold_in(key, _VELOCITY_KEY))
         size = jax.random.uniform(size_key, (robots, 1), maxval=self.config.start_velocity_mps)
         angle = jax.random.uniform(angle_key, (robots,), maxval=2 * jnp.pi)
