@@ -45,8 +45,13 @@ def _look(folder: Path, wanted: dict[str, Any], resume: bool) -> Path | None:
             raise ValueError(f"{folder} holds files, but no run to resume; choose another run_dir.")
         return None
     held = _held(path)
+    if unshared := sorted(held.keys() ^ wanted.keys()):
+        raise ValueError(
+            f"{folder} holds a run of another version of this program, with other settings ({', '.join(unshared)}); "
+            "choose another run_dir."
+        )
     if held != wanted:
-        differing = [f"{key}={held.get(key)}" for key in wanted if held.get(key) != wanted[key]]
+        differing = [f"{key}={held[key]}" for key in wanted if held[key] != wanted[key]]
         raise ValueError(f"{folder} holds another run, with {', '.join(differing)}; choose another run_dir.")
     if not resume:
         raise ValueError(f"{folder} holds this run already; to go on with it: {resume_command()}")

@@ -20,6 +20,7 @@ MARKERS = ("<!-- results, written by `make report` -->", "<!-- end of results --
 
 STUDIES = {
     "walking": "Learning to walk",
+    "starts": "Starting up to 0.5 m/s off the reference's velocity, and at it",
     "reward": "Learning from the weighted reward, and from the plain one",
     "rate": "Learning with physics at 500 Hz, and at 1 kHz",
     "learning_speeds": "Learning other speeds from the 1x policy",

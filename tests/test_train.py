@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -169,6 +170,16 @@ def test_a_directory_that_holds_a_run_is_refused_untouched(unbroken, changes, se
     with pytest.raises(ValueError, match=sentence):
         Session(replace(config(unbroken), **changes), Console(file=io.StringIO()))
     assert contents(unbroken) == before
+
+
+def test_a_run_of_another_version_is_refused(unbroken, tmp_path):
+    run = shutil.copytree(unbroken, tmp_path / "run")
+    held = json.loads((run / "config.json").read_text())
+    held["config"]["ppo.old"] = held["config"].pop("walk.x_limit_m")
+    (run / "config.json").write_text(json.dumps(held))
+    sentence = r"a run of another version of this program, with other settings \(ppo.old, walk.x_limit_m\); choose"
+    with pytest.raises(ValueError, match=sentence):
+        session(run, resume=True)
 
 
 def test_resume_starts_a_run_where_there_is_nothing_yet(tmp_path):
