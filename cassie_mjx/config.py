@@ -189,7 +189,7 @@ def speed_factor(speed: str) -> float:
 
 
 def speed_factors(speed: str) -> tuple[float, tuple[float, float]]:
-    """What a training's speed asks for: a factor on the motion, and the range of those drawn for each episode on top.
+    """What a training's speed asks for: a factor on the motion, and the range of those commanded on top.
 
     "2x" is 2 and (1, 1); "any" is 1 and (0, 4).
 

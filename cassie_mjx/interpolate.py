@@ -25,10 +25,8 @@ from cassie_mjx import robot
 from cassie_mjx.envs import observation
 from cassie_mjx.model import CONTROL_PERIOD_S
 from cassie_mjx.physics.types import Array, namespace
-from cassie_mjx.reference import ReferenceMotion, mix_qpos, sample
+from cassie_mjx.reference import RAMP_PER_S, ReferenceMotion, mix_qpos, sample
 
-RAMP_PER_S = 0.625
-"""Speed of the ramp along the chain, 1/s: lambda = 1 - 0.625 t (Xie et al. 2018)."""
 HOLD_S = 4.0
 """Time that the ramp stays at either end of the chain, s: between five and six strides."""
 FILTER_S = 0.352

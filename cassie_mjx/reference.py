@@ -24,6 +24,9 @@ from cassie_mjx.robot import Array
 
 SHIPPED = ("walk",)
 MAX_STRETCH = 4.0
+RAMP_PER_S = 0.625
+"""Pace at which a walk is brought to another speed, 1/s, in multiples of the stride's: lambda = 1 - 0.625 t between
+neighbours of 0x, 1x, 2x, ... (Xie et al. 2018)."""
 
 _FORMAT, _VERSION = "cassie-mjx reference motion", 1
 _ARRAYS = ("qpos", "qvel", "stride_length")

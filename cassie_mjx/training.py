@@ -30,7 +30,7 @@ class TrainConfig:
     """A training run."""
 
     speed: str = "1x"
-    """Factor on the pelvis x of the reference motion, from "0x" to "4x"; "any" draws one for each episode."""
+    """Factor on the pelvis x of the reference motion, from "0x" to "4x"; "any" commands one after another."""
     physics: str = "auto"
     """"native": MuJoCo C on CPU threads; "mjx"; "auto": MJX if there is an accelerator."""
     physics_hz: int | None = None

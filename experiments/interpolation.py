@@ -19,6 +19,7 @@ from rich.console import Console
 from cassie_mjx import cli, interpolate, subjects, suites
 from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.reference import RAMP_PER_S
 from cassie_mjx.subjects import BlendSubject, PolicySubject, walked
 from cassie_mjx.suites import Setting
 from cassie_mjx.trials import fallen
@@ -88,7 +89,7 @@ class Ride(NamedTuple):
 def ride(blend: BlendSubject, starts: int = STARTS) -> Ride:
     """Blend up and down once, from `starts` phases of the stride."""
     physics = NativePhysics(load(ModelConfig()), damping=blend.damping)
-    seconds = 2 * ((len(blend.policies) - 1) / interpolate.RAMP_PER_S + interpolate.HOLD_S)
+    seconds = 2 * ((len(blend.policies) - 1) / RAMP_PER_S + interpolate.HOLD_S)
     fell, x, commanded_x = np.zeros(starts, bool), [], [0.0]
     walk = walked(blend, physics, blend.start(physics, np.arange(starts) / starts))
     for state, memory in islice(walk, round(seconds / blend.period_s) + 1):

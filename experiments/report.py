@@ -23,7 +23,7 @@ STUDIES = {
     "starts": "Starting up to 0.5 m/s off the reference's velocity, and at it",
     "reward": "Learning from the weighted reward, and from the plain one",
     "rate": "Learning with physics at 500 Hz, and at 1 kHz",
-    "learning_speeds": "Learning other speeds from the 1x policy",
+    "learning_speeds": "Learning other speeds from the 1x policy, and all of them from scratch",
     "warm_start": "Learning 4x from the 1x policy, and from scratch",
     "paper": "The paper's learner as printed, and readings that differ in one point",
 }

@@ -34,6 +34,7 @@ FORBIDDEN = {
     },
     "cassie_mjx.envs": {
         *("cassie_mjx.ppo", "cassie_mjx.train", "cassie_mjx.checkpoint", "cassie_mjx.evaluate", "cassie_mjx.render"),
+        "cassie_mjx.interpolate",
         "cassie_mjx.controller",
     },
     "cassie_mjx.devices": {"cassie_mjx.envs", "cassie_mjx.physics", "cassie_mjx.training", "mujoco", "brax"},

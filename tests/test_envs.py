@@ -104,7 +104,8 @@ def test_every_episode_has_a_speed_of_its_own(native, motion):
     key = jax.random.key(4)
     state = env.reset(key)
     speed = np.asarray(state.clock.speed)
-    np.testing.assert_array_equal(speed, clock.draw_speed(jax.random.fold_in(key, 2), 64, (0.0, 4.0)))
+    assert (speed.min(), speed.max()) == (0, 4)
+    assert len(set(speed.tolist())) > 40
     phase = np.asarray(state.clock.phase)
     ahead, ahead_velocity = sample(motion, phase + 1, 0 * phase)
     np.testing.assert_allclose(state.physics.qvel[:, 0], speed * motion.qvel[phase, 0], atol=1e-5)
@@ -131,11 +132,11 @@ def test_speeds_are_drawn_from_the_whole_range_and_its_ends():
     np.testing.assert_array_equal(clock.draw_speed(jax.random.key(0), 8, (1.5, 1.5)), np.full(8, 1.5))
 
 
-def test_robots_are_told_new_speeds_and_are_brought_there_slowly(native, motion):
+def test_new_speeds_are_commanded_and_reached_slowly(native, motion):
     task = WalkConfig(command_s=0.32, x_limit_m=None)
     env = WalkEnv(native, motion, task, 64, speeds=(0.0, 4.0))
     state = env.reset(jax.random.key(4))
-    changes, ends = 0, 0
+    changes, ends, kept = 0, 0, 0
     for i in range(30):
         after = env.step(state, np.zeros((64, 10)), jax.random.key(i))
         speed, command = np.asarray(state.clock.speed), np.asarray(after.clock.command)
@@ -146,25 +147,26 @@ def test_robots_are_told_new_speeds_and_are_brought_there_slowly(native, motion)
         (now, _), (then, _) = clock.reference(env.motion, state.clock), clock.reference(env.motion, after.clock)
         gained = (clock.reference(env.motion, state.clock, ahead=1)[0] - now)[:, 0]
         np.testing.assert_allclose((then - now)[going, 0], gained[going], atol=1e-5)
+        kept += (command == np.asarray(state.clock.command))[~going].sum()
         changes += (command != np.asarray(state.clock.command)).sum()
         ends += (~going).sum()
         state = after
     assert 100 < changes < 300, "30 steps of 64 robots, one in ten of which tells a robot something new"
     assert ends > 64
-    one_speed = WalkEnv(native, motion, task, ROBOTS).reset(jax.random.key(4))
-    np.testing.assert_array_equal(one_speed.clock.command, 1.0)
+    assert kept > 0.8 * ends, "a new episode goes on with the command of the last"
 
 
 def test_robots_start_at_velocities_of_their_own(native, motion):
-    apart = WalkEnv(native, motion, WalkConfig(start_velocity_mps=0.5), 256).reset(jax.random.key(7))
-    reference = motion.qvel[np.asarray(apart.clock.phase)]
-    extra = apart.physics.qvel - reference
-    np.testing.assert_allclose(extra[:, 2:], 0, atol=1e-6)
-    size = np.linalg.norm(extra[:, :2], axis=1)
-    assert 0.45 < size.max() <= 0.5
-    assert abs(size.mean() - 0.25) < 0.03
-    assert np.abs(extra[:, :2].mean(axis=0)).max() < 0.05, "any direction is as likely as its opposite"
-    np.testing.assert_allclose(apart.observation[:, 6:8], apart.physics.qvel[:, :2], atol=1e-6)
+    env = WalkEnv(native, motion, WalkConfig(start_velocity_mps=0.5, episode_steps=1), 256)
+    first = env.reset(jax.random.key(7))
+    for state in (first, env.step(first, np.zeros((256, 10)), jax.random.key(8))):
+        extra = state.physics.qvel - motion.qvel[np.asarray(state.clock.phase)]
+        np.testing.assert_allclose(extra[:, 2:], 0, atol=1e-6)
+        size = np.linalg.norm(extra[:, :2], axis=1)
+        assert 0.45 < size.max() <= 0.5
+        assert abs(size.mean() - 0.25) < 0.03
+        assert np.abs(extra[:, :2].mean(axis=0)).max() < 0.05, "any direction is as likely as its opposite"
+        np.testing.assert_allclose(state.observation[:, 6:8], state.physics.qvel[:, :2], atol=1e-6)
 
 
 def test_one_speed_for_all_is_the_stretched_motion_from_the_same_phases(native, motion):

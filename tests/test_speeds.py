@@ -94,7 +94,7 @@ class Standing:
         return jnp.zeros((len(observation), 10))
 
 
-def test_robots_are_told_the_speed_of_each_step():
+def test_the_reference_moves_to_the_speed_commanded():
     policy: Any = Standing()
     ride = follow(policy, np.repeat([1.0, 3.0], 20), starts=2)
     assert ride.fell.all(), "the reference angles alone do not walk"

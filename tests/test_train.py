@@ -384,7 +384,7 @@ def test_a_policy_for_any_speed_is_saved_with_the_motion_as_recorded(tmp_path):
         assert saved.speed == factor
         assert saved.reference_stride_length == pytest.approx(factor * recorded.stride_length)
     speeds = last_state(tmp_path / "any")[".env.clock.speed"]
-    assert len(set(speeds.tolist())) == TINY.num_robots
+    assert len(set(speeds.tolist())) > 1
     assert (last_state(tmp_path / "twice")[".env.clock.speed"] == 1).all()
 
 

@@ -12,12 +12,12 @@ from brax.io import mjcf
 
 from cassie_mjx.envs import reward
 from cassie_mjx.envs.types import WalkState
-from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.envs.walk import ENDS, WalkConfig, WalkEnv
 from cassie_mjx.model import MJX_TRAINING, ModelConfig, load_for_mjx, steps_per_control, xml_path
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.reference import ReferenceMotion
 
-METRICS = (*reward.SCALES, *reward.Terms._fields, "fallen", "nan")
+METRICS = (*reward.SCALES, *reward.Terms._fields, *ENDS)
 
 
 @jax.tree_util.register_dataclass
@@ -71,7 +71,7 @@ class CassieEnv(PipelineEnv):
         self._walk = WalkEnv(physics, motion, endless, robots=1)
 
     def reset(self, rng: jax.Array) -> State:
-        """A robot on the reference motion at a phase drawn with `rng`."""
+        """A robot near the reference motion, at a phase and a velocity drawn with `rng`."""
         return self._view(self._walk.reset(rng))
 
     def step(self, state: State, action: jax.Array) -> State:

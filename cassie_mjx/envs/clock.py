@@ -1,4 +1,4 @@
-"""Where robots are along the reference motion, and the speed that they are told: pure functions of a `Clock`."""
+"""Where robots are along the reference motion, and how its speed changes: pure functions of a `Clock`."""
 
 from dataclasses import replace
 
@@ -8,9 +8,8 @@ import jax.numpy as jnp
 from cassie_mjx import robot
 from cassie_mjx.envs.disturbance import CREST_X_M
 from cassie_mjx.envs.types import Clock
-from cassie_mjx.interpolate import RAMP_PER_S
 from cassie_mjx.model import CONTROL_PERIOD_S
-from cassie_mjx.reference import ReferenceMotion, sample, stretch_states
+from cassie_mjx.reference import RAMP_PER_S, ReferenceMotion, sample, stretch_states
 
 _X = int(robot.PELVIS_POSITION[0])
 
@@ -21,7 +20,7 @@ def start(motion: ReferenceMotion, phase: jax.Array, speed: jax.Array, terrain: 
     Args:
       motion: the stride.
       phase: sample of the stride that they start at, [B].
-      speed: factor on the motion's speed, [B], now and as told.
+      speed: factor on the motion's speed, [B], now and as commanded.
       terrain: height h of the ground, [B], m; where it is above 0, the pelvis starts above a crest.
     """
     zeros = jnp.zeros_like(phase)
@@ -43,24 +42,24 @@ def tick(motion: ReferenceMotion, clock: Clock) -> Clock:
 
 
 def draw_speed(key: jax.Array, robots: int, speeds: tuple[float, float]) -> jax.Array:
-    """Speeds to tell robots, [robots], each from the range `speeds`: one in ten its lowest, one in ten its highest.
+    """Speeds to command, [robots], from the range `speeds`: one in ten its lowest, one in ten its highest.
 
-    As robots move from speed to speed, they would seldom be at the ends of the range otherwise.
+    Robots that move from speed to speed would seldom be at the ends of the range otherwise.
     """
     low, high = speeds
     margin = (high - low) / 8
     return jax.random.uniform(key, (robots,), minval=low - margin, maxval=high + margin).clip(low, high)
 
 
-def told(clock: Clock, key: jax.Array, speeds: tuple[float, float], mean_s: float) -> Clock:
-    """The same moment, after which some robots are told another speed, each every `mean_s` seconds on the average."""
+def commanded(clock: Clock, key: jax.Array, speeds: tuple[float, float], mean_s: float) -> Clock:
+    """The same moment, after which some robots are commanded another speed: each every `mean_s` seconds on average."""
     when_key, speed_key = jax.random.split(key)
     new = jax.random.bernoulli(when_key, CONTROL_PERIOD_S / mean_s, clock.command.shape)
     return replace(clock, command=jnp.where(new, draw_speed(speed_key, len(new), speeds), clock.command))
 
 
 def paced(motion: ReferenceMotion, clock: Clock) -> Clock:
-    """The same moment at a speed nearer to what robots are told, by 0.625 a second; x does not jump."""
+    """The same moment at a speed nearer to the one commanded, by 0.625 a second; x does not jump."""
     step = RAMP_PER_S * CONTROL_PERIOD_S
     speed = clock.speed + jnp.clip(clock.command - clock.speed, -step, step)
     x = sample(motion, clock.phase, clock.stride)[0][:, _X]

@@ -45,8 +45,8 @@ def terms(scale: Scale, qpos: Array, reference: Array) -> Terms:
 
     Args:
       scale: one of `SCALES`.
-      qpos: of the robots, [B, 35]; pelvis x counted from the start of the episode.
-      reference: qpos of the reference motion at the same time, [B, 35].
+      qpos: of the robots, [B, 35]; pelvis z counted from the ground below.
+      reference: qpos of the reference motion at the same time and from the same origin of x, [B, 35].
     """
     # r = exp(-sum of scaled squared errors)
     error = jnp.square(qpos - reference)

@@ -16,8 +16,8 @@ class Clock:
       phase: sample of the stride, [B], int32, 0 to N - 1.
       stride: strides since the start of the episode, [B], int32.
       step: control steps since the start of the episode, [B], int32.
-      speed: factor on the motion's speed along x at present, [B].
-      command: the factor that robots are told, to which `speed` moves, [B].
+      speed: factor on the motion's speed along x at present, which robots are told, [B].
+      command: the factor that `speed` moves to; no robot senses it, [B].
       origin_x: world x of the point where the motion's x is 0, [B], m.
     """
 

@@ -41,7 +41,7 @@ class WalkConfig:
     It is drawn for each episode. Robots learn from it to come back to the speed that they are told, sooner than by
     losing it themselves; 0 starts every episode on the reference, as in the paper."""
     command_s: float | None = 4.0
-    """Mean time until robots that can be told several speeds are told another one, s; null for one speed an episode."""
+    """Mean time from one commanded speed to the next, s, where there is a range of them; null for one an episode."""
     damping: float = 1.0
     """Factor on the published D gains of the PD law; with less, robots bear to sense and act later."""
     disturbance: DisturbanceConfig = field(default_factory=DisturbanceConfig)
@@ -92,7 +92,8 @@ T = TypeVar("T")
 _SPEED_KEY, _DISTURBANCE_KEY, _VELOCITY_KEY, _COMMAND_KEY = 2, 3, 4, 5
 
 ENDS = ("nan", "fallen", "low_reward", "strayed")
-"""What an episode can end by before its time, as `WalkState.metrics` names it; a NaN is a fall too."""
+"""What an episode can end by before its time, as `WalkState.metrics` names it; one can end by several: a NaN is a fall,
+too, and earns 0."""
 
 # Unit in which a critic is told how far a robot is ahead: half of what ends an episode, so of the order of 1.
 LEAD_M = 0.25
@@ -125,13 +126,13 @@ class WalkEnv:
           motion: what to imitate.
           config: the task's parameters.
           robots: B, robots side by side.
-          speeds: lowest and highest factor on the motion's speed that robots are told.
+          speeds: lowest and highest factor on the motion's speed.
 
         Raises:
           ValueError: the engine is made for shorter delays than the task draws, or for another damping than its own.
         """
         self.physics, self.config, self.robots, self.speeds = physics, config, robots, speeds
-        # Mean time between the speeds that a robot is told, s; None if it is told one alone.
+        # Mean time between commanded speeds, s; None if every episode has one alone.
         self._command_s = config.command_s if speeds[0] < speeds[1] else None
         self.motion = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), motion)
         self.samples = motion.qpos.shape[0]
@@ -150,7 +151,7 @@ class WalkEnv:
         self._start = jax.jit(self._start_states)
 
     def reset(self, key: jax.Array) -> WalkState:
-        """Robots on the reference motion, each at a phase, at a speed and under a disturbance drawn at random."""
+        """Robots near the reference motion: phase, speed, velocity and disturbance are drawn at random."""
         phase, speed, velocity = self._draw(key, self.robots)
         disturbance = Disturbance.none(self.robots)
         if self.config.disturbance.active:
@@ -161,7 +162,7 @@ class WalkEnv:
     def reset_at(
         self, phase: Array, disturbance: Disturbance, speed: Array | None = None, velocity: Array | None = None
     ) -> WalkState:
-        """Robots on the reference motion, under `disturbance`; on terrain with the pelvis above a crest.
+        """Robots on the reference motion but for `velocity`, under `disturbance`; on terrain above a crest.
 
         Args:
           phase: samples of the stride, [B].
@@ -182,14 +183,15 @@ class WalkEnv:
         return WalkState(physics, disturbance, clock, seen, seen, lead, lead, zeros, ended, ended, metrics)
 
     def step(self, state: WalkState, action: Array, key: jax.Array) -> WalkState:
-        """One control step of 32 ms; robots whose episode ends start anew at a phase and speed drawn with `key`.
+        """One control step of 32 ms; robots whose episode ends start anew, as `reset` draws them.
 
-        A task without disturbances of its own leaves those that `reset_at` was given as they are.
+        Where speeds are commanded on the way, they go on at theirs. A task without disturbances of its own leaves those
+        that `reset_at` was given as they are.
 
         Args:
           state: before the step.
           action: residual on the reference angles of the active joints, [B, 10], rad.
-          key: for the phases and speeds of new episodes, and for disturbances.
+          key: for new episodes, for commanded speeds, and for disturbances.
         """
         target = _beside(state.physics, self._target(state.clock, action))
         physics = self.physics.advance(state.physics, target, state.disturbance, self._substeps)
@@ -267,8 +269,8 @@ class WalkEnv:
         disturbance = self._renew(disturbance, clock, ended, key)
         clock = self._command(clock, key)
         phase, speed, velocity = self._draw(key, len(nan))
-        # Robots that are told speeds as they walk start anew at the same, so that every speed is walked for as long as
-        # every other, however early its episodes end.
+        # Where speeds are commanded on the way, episodes go on at that of the last: so how long a speed is walked does
+        # not depend on how early its episodes end.
         speed = speed if self._command_s is None else clock.speed
         fresh = self._start_states(phase, speed, velocity, disturbance.terrain)
         fresh_clock, fresh_qpos, fresh_qvel, fresh_seen = fresh
@@ -304,7 +306,7 @@ class WalkEnv:
         if self._command_s is None:
             return clock
         command_key = jax.random.fold_in(key, _COMMAND_KEY)
-        return clocks.paced(self.motion, clocks.told(clock, command_key, self.speeds, self._command_s))
+        return clocks.paced(self.motion, clocks.commanded(clock, command_key, self.speeds, self._command_s))
 
 
 def _beside(physics: PhysicsState, tree: T) -> T:
