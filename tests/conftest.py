@@ -1,14 +1,18 @@
 import json
+import sys
 from pathlib import Path
 
 import jax
 import pytest
+from absl import logging
 
 from cassie_mjx.model import ModelConfig, load, standing
 
 ROOT = Path(__file__).parents[1]
 jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax"))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
+# Hydra closes all log handlers, and absl's closes its stream with it unless that is the process' own: pytest's capture.
+logging.get_absl_handler().python_handler.stream = sys.__stderr__
 
 
 @pytest.fixture(scope="session")
