@@ -90,6 +90,7 @@ STUDIES = {
         *(Variant(speed, {"speed": speed, "init": "1x"}) for speed in ("0x", "2x", "3x", "4x")),
         # From scratch: the input statistics of 1x would clip a reference velocity beyond 1.3 m/s.
         Variant("any", {"speed": "any", "ppo.iterations": "600"}),
+        Variant("any-on", {"speed": "any", "init": "runs/studies/any-seed0"}, (0,)),
     ),
     "warm_start": (Variant("4x", {"speed": "4x", "init": "1x"}), Variant("4x-from-scratch", {"speed": "4x"})),
     # What the paper prints, a tenth of its step sizes, and readings that differ from the printed one in a single point.

@@ -35,7 +35,7 @@ class SpeedsConfig:
 
     policies: tuple[str, ...] = ("0x", "1x", "2x", "3x", "4x")
     """Policies of one speed each."""
-    any_speed: str | None = None
+    any_speed: str | None = "any"
     """Policy of all speeds; null for none."""
     seed: int = 0
     """What the speeds of the profile are drawn from."""
