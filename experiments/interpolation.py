@@ -31,8 +31,8 @@ STARTS = 20
 class InterpolationConfig:
     """What to blend."""
 
-    policies: tuple[str, str, str, str] = ("0x", "1x", "2x", "3x")
-    """Policies for 0, 1, 2 and 3 times the speed."""
+    policies: tuple[str, str, str, str, str] = ("0x", "1x", "2x", "3x", "4x")
+    """Policies for 0, 1, 2, 3 and 4 times the speed."""
     terrain: bool = True
     """Whether to measure the second part, too, which takes a few minutes."""
     out: str = "interpolation.json"

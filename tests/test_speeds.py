@@ -64,10 +64,10 @@ def test_the_file_says_which_policies_kept_their_speeds(tmp_path, monkeypatch):
 
 def test_the_file_says_which_policies_were_blended(tmp_path, monkeypatch):
     monkeypatch.setattr(interpolation, "ride", lambda blend: STOOD)
-    config = InterpolationConfig(("1x", "1x", "1x", "1x"), terrain=False, out=str(tmp_path / "a.json"))
+    config = InterpolationConfig(("1x", "1x", "1x", "1x", "1x"), terrain=False, out=str(tmp_path / "a.json"))
     interpolation.main(config)
     content = json.loads((tmp_path / "a.json").read_text())
-    assert list(content["rides"]) == ["blend:1x,1x schedule=ramp", "blend:1x,1x,1x,1x schedule=ramp"]
+    assert list(content["rides"]) == ["blend:1x,1x schedule=ramp", "blend:1x,1x,1x,1x,1x schedule=ramp"]
     policy = export.NumpyPolicy.load(export.shipped_policies()["1x"])
     assert content["provenance"]["subject"] == {"1x": policy.provenance}
 
