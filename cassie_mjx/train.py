@@ -14,6 +14,7 @@ from pathlib import Path
 from types import FrameType
 
 import jax
+import mujoco
 from rich.console import Console
 
 from cassie_mjx import checkpoint, cli, devices, diagnosis, hydra_cli, reference, run_directory
@@ -243,6 +244,8 @@ def main(config: TrainConfig) -> None:
     """Train one policy."""
     # On few cores, XLA's threads take time from the physics' threads; it reads this when it makes its first array.
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+    # Divergences are counted, and the first is kept; MuJoCo would print hundreds of lines about each.
+    mujoco.set_mju_user_warning(lambda _: None)
     if config.distributed:
         devices.join()
     Session(config, Console(quiet=not devices.is_first())).train()

@@ -10,11 +10,12 @@ import sys
 from dataclasses import asdict, replace
 
 import jax
+import mujoco
 import numpy as np
 import pytest
 from rich.console import Console
 
-from cassie_mjx import checkpoint, hydra_cli
+from cassie_mjx import checkpoint, hydra_cli, train
 from cassie_mjx.config import PPO_PRESETS, PPOConfig, speed_factor, speed_factors
 from cassie_mjx.envs.walk import WALK_PRESETS
 from cassie_mjx.export import NumpyPolicy
@@ -352,6 +353,26 @@ def test_what_fails_in_a_run_ends_it_in_one_sentence(monkeypatch, capsys):
     with pytest.raises(SystemExit, match="2"):
         command(monkeypatch, full)
     assert capsys.readouterr().err == "error: The checkpoint could not be written.\n"
+
+
+def test_a_divergence_does_not_flood_the_terminal(monkeypatch, tmp_path, capfd, model):
+    class Diverging:
+        def __init__(self, *_):
+            self.data = mujoco.MjData(model)
+            self.data.qvel[:] = 1e12
+
+        def train(self):
+            mujoco.mj_step(model, self.data)
+
+    monkeypatch.chdir(tmp_path)
+    Diverging().train()
+    assert "WARNING: Nan, Inf or huge value in QVEL" in "".join(capfd.readouterr())
+    monkeypatch.setattr(train, "Session", Diverging)
+    try:
+        train.main(TrainConfig())
+    finally:
+        mujoco.set_mju_user_warning(None)
+    assert "WARNING" not in "".join(capfd.readouterr())
 
 
 def test_the_command_itself_ends_with_a_sentence_and_a_status(tmp_path):
