@@ -108,7 +108,7 @@ class NumpyPolicy:
 
 def shipped_policies() -> dict[str, Path]:
     """Files of the trained policies that come with the package, by name."""
-    return {path.stem: path for path in sorted(FOLDER.glob("*.npz"))}
+    return {path.stem: path for path in sorted(FOLDER.glob("*.npz"), key=lambda path: path.stem)}
 
 
 def find(name: str) -> Path | None:

@@ -177,7 +177,9 @@ def beside_the_paper(folder: Path) -> Table:
 
 def _seeds(results: Sequence[Result]) -> str:
     seeds = [result.seed for result in results if result.seed]
-    return f", mean of {len(seeds)} training seeds (least to greatest)" if len(seeds) > 1 else ""
+    if len(seeds) == 1:
+        return f", training seed {seeds[0]}"
+    return f", mean of {len(seeds)} training seeds (least to greatest)" if seeds else ""
 
 
 def _best(measured: Sequence[tuple[str, list[Result]]]) -> str:

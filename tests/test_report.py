@@ -99,7 +99,7 @@ def test_a_limit_at_the_highest_level_tried_says_so(everything):
 
 def test_what_was_not_measured_is_named_and_never_shown(everything, tmp_path):
     notes = " ".join(tables.beside_the_paper(everything).notes)
-    assert "Not measured yet: `compliant`; `1x-robust`; speed, m/s; " in notes
+    assert "Not measured yet: `compliant`; `1x-exact-starts`; `1x-robust`; speed, m/s; " in notes
     empty = tmp_path / "empty"
     empty.mkdir()
     assert tables.beside_the_paper(empty).rows == []
