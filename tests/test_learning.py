@@ -118,5 +118,6 @@ def test_overrides_read_as_a_run_records_them():
 
 
 def test_an_unknown_study_is_refused():
-    with pytest.raises(ValueError, match="study='song' is not known; choose one of walking, starts, .*, paper"):
+    known = "walking, starts, reward, rate, .*, paper"
+    with pytest.raises(ValueError, match=f"study='song' is not known; choose one of {known}"):
         LearningConfig("song")

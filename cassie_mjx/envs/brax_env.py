@@ -10,14 +10,11 @@ from brax import base
 from brax.envs.base import PipelineEnv, State
 from brax.io import mjcf
 
-from cassie_mjx.envs import reward
 from cassie_mjx.envs.types import WalkState
-from cassie_mjx.envs.walk import ENDS, WalkConfig, WalkEnv
+from cassie_mjx.envs.walk import WalkConfig, WalkEnv
 from cassie_mjx.model import MJX_TRAINING, ModelConfig, load_for_mjx, steps_per_control, xml_path
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.reference import ReferenceMotion
-
-METRICS = (*reward.SCALES, *reward.Terms._fields, *ENDS)
 
 
 @jax.tree_util.register_dataclass
@@ -94,5 +91,5 @@ class CassieEnv(PipelineEnv):
             obs=walk.final_observation[0],
             reward=walk.reward[0],
             done=walk.terminated[0].astype(jnp.float32),
-            metrics={name: walk.metrics[name][0] for name in METRICS},
+            metrics={name: values[0] for name, values in walk.metrics.items()},
         )
