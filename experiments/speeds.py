@@ -37,6 +37,11 @@ class SpeedsConfig:
     """Policies of one speed each."""
     any_speed: str | None = "any"
     """Policy of all speeds; null for none."""
+    runs: str = ""
+    """Folder of training runs <policy>-seed<seed>, as `experiments.learning` names them, whose policies are measured
+    under the policy's name and the seed; the policies that come with the package if empty."""
+    training_seeds: tuple[int, ...] = (0, 1, 2)
+    """Seeds of those runs."""
     seed: int = 0
     """What the speeds of the profile are drawn from."""
     out: str = "speeds.json"
@@ -45,11 +50,26 @@ class SpeedsConfig:
     """File for a picture; none if empty."""
 
 
+def single_speeds(config: SpeedsConfig) -> list[tuple[dict[str, Any], PolicySubject]]:
+    """The policies of one speed each, with what their rows say of them: whose figures they are.
+
+    Raises:
+      ValueError: one of them is not there.
+    """
+    if not config.runs:
+        return [({"subject": name}, subjects.resolve_policy(name)) for name in config.policies]
+    return [
+        ({"subject": name, "seed": seed}, subjects.resolve_policy(f"{config.runs}/{name}-seed{seed}"))
+        for name in config.policies
+        for seed in config.training_seeds
+    ]
+
+
 def keep(policy: PolicySubject) -> list[dict[str, Any]]:
-    """Rows of ten walks of 10 s at the policy's speed, the reference's own speed among them."""
+    """Figures of ten walks of 10 s at the policy's speed, the reference's own speed among them."""
     figures = {figure.quantity: figure for figure in suites.walk(policy, Setting()).figures}
     commanded = figures["speed_mps"]._replace(quantity="commanded_mps", value=interpolate.mean_speed(policy.motion))
-    return [{"subject": policy.name, **figure._asdict()} for figure in (commanded, *figures.values())]
+    return [figure._asdict() for figure in (commanded, *figures.values())]
 
 
 def profile(seed: int) -> np.ndarray:
@@ -100,18 +120,20 @@ def main(config: SpeedsConfig) -> None:
     """Walk, write the result and draw it."""
     paths = [cli.check_writable(path) for path in (config.out, config.plot) if path]
     console, rows, walk = Console(stderr=True), [], None
-    policies = [subjects.resolve_policy(name) for name in config.policies]
-    walkers = list(policies)
+    walkers = single_speeds(config)
+    origins = {policy.name: policy.provenance for _, policy in walkers}
     if config.any_speed:
-        policies.append(subjects.resolve_policy(config.any_speed))
-        walkers += [subjects.resolve_policy(config.any_speed, f"{factor:.3g}x") for factor in COMMANDS]
-        walk = follow(policies[-1], profile(config.seed))
+        free = subjects.resolve_policy(config.any_speed)
+        told = [subjects.resolve_policy(config.any_speed, f"{factor:.3g}x") for factor in COMMANDS]
+        walkers += [({"subject": policy.name}, policy) for policy in told]
+        origins[free.name] = free.provenance
+        walk = follow(free, profile(config.seed))
         rows += walk.rows(f"{config.any_speed} profile")
-    for walker in walkers:
-        measured = keep(walker)
-        rows += measured
-        console.print(walker.name, {row["quantity"]: round(row["value"], 3) for row in measured})
-    provenance = cli.provenance(**asdict(config), subject={policy.name: policy.provenance for policy in policies})
+    for whose, walker in walkers:
+        figures = keep(walker)
+        rows += [whose | figure for figure in figures]
+        console.print(*whose.values(), {figure["quantity"]: round(figure["value"], 3) for figure in figures})
+    provenance = cli.provenance(**asdict(config), subject=origins)
     result = {"rows": rows, "provenance": provenance}
     cli.write_json(paths[0], result | ({"profile": walk.curve()} if walk else {}))
     if config.plot:

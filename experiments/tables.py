@@ -37,8 +37,12 @@ class Result:
 
     def value(self, quantity: str, subject: str | None = None) -> float | None:
         """The value of a quantity, of one subject if several are in the file; None if it was not measured."""
+        return next(iter(self.values(quantity, subject)), None)
+
+    def values(self, quantity: str, subject: str | None = None) -> list[float]:
+        """The values of a quantity, of one subject if several are in the file; one a seed of its training."""
         rows = (r for r in self.content["rows"] if r.get("quantity") == quantity and subject in (None, r["subject"]))
-        return next((row["value"] for row in rows), None)
+        return [row["value"] for row in rows]
 
 
 @contextmanager
@@ -153,9 +157,14 @@ def cell(row: Row, results: Sequence[Result]) -> str:
     values = [value for result in results if (value := least(result, row.quantities)) is not None]
     if not values:
         return NO_FIGURE
-    mean, low, high = (f"{f(values):.{row.digits}f}" for f in (statistics.mean, min, max))
-    text = mean if low == high else f"{mean} ({low} to {high})"
+    text = span(values, row.digits)
     return f"{text}, the highest tried" if min(values) >= row.highest else text
+
+
+def span(values: Sequence[float], digits: int) -> str:
+    """The mean and, unless they are alike, the least and greatest of some values."""
+    mean, low, high = (f"{f(values):.{digits}f}" for f in (statistics.mean, min, max))
+    return mean if low == high else f"{mean} ({low} to {high})"
 
 
 def beside_the_paper(folder: Path) -> Table:
@@ -220,15 +229,15 @@ def _walks(result: Result) -> list[tuple[str, ...]]:
         if subject in told_speeds:
             continue
         paper = PAPER_BLENDS.get(subject.removeprefix("blend:"), NO_FIGURE)
-        told, speed, up, h = (
-            result.value(quantity, subject) for quantity in ("commanded_mps", "speed_mps", "survived_s", "terrain_h_m")
-        )
+        told, h = (result.value(quantity, subject) for quantity in ("commanded_mps", "terrain_h_m"))
+        speeds, ups = (result.values(quantity, subject) for quantity in ("speed_mps", "survived_s"))
         starts = [r for r in result.content["rows"] if r["subject"] == subject and r.get("quantity") == "starts_up"]
-        if told is not None and speed is not None and up is not None:
+        if told is not None and speeds and ups:
             paper = PAPER_SPEEDS.get(subject, NO_FIGURE)
-            ours = f"{speed:.2f} m/s (told {told:.2f}), up {up:g} of 10 s"
-            plain = result.value("return_plain", subject)
-            ours += f", return {plain:.1f} by the plain reward" if plain is not None else ""
+            ours = f"told {told:.2f} m/s: {span(speeds, 2)}, up {min(ups):g} of 10 s"
+            plain = result.values("return_plain", subject)
+            ours += f", return {span(plain, 1)} by the plain reward" if plain else ""
+            ours += f"; {len(speeds)} training seeds" if len(speeds) > 1 else ""
         elif starts:
             slow, fast = (result.value(f"{end}_speed_mps", subject) for end in ("lowest", "highest"))
             ours = f"{starts[0]['value']:g} of {starts[0]['n']} starts up"

@@ -66,6 +66,8 @@ def everything(tmp_path):
     write(folder, "stride_1x.json", time_s=[0, 0.032], joints=joints, feet=feet)
     ride = {name: [0.5, 1.0] for name in ("time_s", "commanded_mps", "mean_mps", "least_mps", "greatest_mps")}
     speeds = figures("2x", commanded_mps=1.42, speed_mps=1.401, survived_s=10, return_plain=285)
+    speeds += figures("3x", commanded_mps=2.13, speed_mps=2.12, survived_s=10, return_plain=280)
+    speeds += figures("3x", commanded_mps=2.13, speed_mps=2.16, survived_s=9, return_plain=270)
     speeds += figures("any speed=0x", commanded_mps=0, speed_mps=-0.05, survived_s=10)
     speeds += figures("any speed=4x", commanded_mps=2.84, speed_mps=1, survived_s=8)
     write(folder, "speeds.json", speeds, profile=ride)
@@ -112,7 +114,13 @@ def test_speeds_and_blends(everything):
     assert table is not None
     assert [row[:3] for row in table.rows] == [
         ("any speed=0x to speed=4x", "–", "1 of 2 speeds up for 10 s, 0.05 m/s off at most"),
-        ("2x", "learned in 3 to 5 h", "1.40 m/s (told 1.42), up 10 of 10 s, return 285.0 by the plain reward"),
+        ("2x", "learned in 3 to 5 h", "told 1.42 m/s: 1.40, up 10 of 10 s, return 285.0 by the plain reward"),
+        (
+            "3x",
+            "learned in 3 to 5 h",
+            "told 2.13 m/s: 2.14 (2.12 to 2.16), up 9 of 10 s, return 275.0 (270.0 to 280.0) by the plain reward; "
+            "2 training seeds",
+        ),
         ("blend:1x,2x schedule=ramp", "speeds up, slows down", "19 of 20 starts up"),
     ]
 

@@ -50,7 +50,7 @@ STOOD = Ride.of([0.0] * 6, [np.zeros(2)] * 6, np.array([False, False]), stride=4
 def test_the_file_says_which_policies_kept_their_speeds(tmp_path, monkeypatch):
     shipped = export.shipped_policies()["1x"]
     free = str(shutil.copy(shipped, tmp_path / "any.npz"))
-    monkeypatch.setattr(speeds, "keep", lambda policy: [{"subject": policy.name, "quantity": "speed_mps", "value": 1}])
+    monkeypatch.setattr(speeds, "keep", lambda policy: [{"quantity": "speed_mps", "value": 1}])
     monkeypatch.setattr(speeds, "follow", lambda policy, factors: STOOD)
     monkeypatch.setattr(speeds, "COMMANDS", [0.5, 2.0])
     speeds.main(SpeedsConfig(("1x",), free, seed=3, out=str(tmp_path / "a.json")))
@@ -60,6 +60,18 @@ def test_the_file_says_which_policies_kept_their_speeds(tmp_path, monkeypatch):
     policy = export.NumpyPolicy.load(shipped)
     assert content["provenance"]["subject"] == {"1x": policy.provenance, free: policy.provenance}
     assert content["provenance"]["seed"] == 3
+
+
+def test_the_policies_of_training_runs_are_measured_under_name_and_seed(tmp_path, monkeypatch):
+    for run in ("1x-seed0", "1x-seed4"):
+        (tmp_path / run).mkdir()
+        shutil.copy(export.shipped_policies()["1x"], tmp_path / run / "best.npz")
+    monkeypatch.setattr(speeds, "keep", lambda policy: [{"quantity": "speed_mps", "value": 1}])
+    config = SpeedsConfig(("1x",), None, str(tmp_path), (0, 4), out=str(tmp_path / "a.json"))
+    speeds.main(config)
+    content = json.loads((tmp_path / "a.json").read_text())
+    assert [(row["subject"], row["seed"]) for row in content["rows"]] == [("1x", 0), ("1x", 4)]
+    assert list(content["provenance"]["subject"]) == [f"{tmp_path}/1x-seed0", f"{tmp_path}/1x-seed4"]
 
 
 def test_the_file_says_which_policies_were_blended(tmp_path, monkeypatch):
