@@ -59,6 +59,7 @@ DEFINITIONS = (
 def whole_page(folder: Path) -> str:
     """The web page, which needs no other file."""
     sections = [compared(folder), *learned(folder), pushed(folder), survived(folder), strode(folder), sped(folder)]
+    sections.append(walked_twice(folder))
     return page.document("Cassie MJX: what has been measured", INTRODUCTION, sections)
 
 
@@ -184,6 +185,22 @@ def sped(folder: Path) -> str:
     body = (table(compared) if compared else "") + drawn(shown)
     command = "python -m experiments.speeds out=experiments/results/speeds.json"
     return section("Speeds and blends", "Policies for other speeds, and changing between them.", body, sources, command)
+
+
+def walked_twice(folder: Path) -> str:
+    """The same trials and the same policies on both engines."""
+    body, sources = "", []
+    for name, content in (("verdicts.json", tables.verdicts), ("engines.json", tables.engines)):
+        for result in find(folder, name):
+            with blaming(folder / result.name):
+                body += table(content(result))
+            sources.append(result)
+    text = (
+        "MuJoCo C (native) and MJX at the same rate with the same contacts, from the same states. A verdict is whether "
+        "a trial was survived; it is at a limit if the next weaker or stronger disturbance has another."
+    )
+    command = "python -m experiments.verdicts policy=1x out=experiments/results/verdicts.json"
+    return section("Two engines", text, body, sources, command)
 
 
 def block(folder: Path) -> str:

@@ -133,6 +133,10 @@ ROWS = (
     ),
 )
 
+ENGINES = ("native", "mjx")
+TIME = f"seconds_{ENGINES[0]}"
+RETURNS_ON = [(reward, engine) for reward in ("plain", "weighted") for engine in ENGINES]
+
 PAPER_SPEEDS = dict.fromkeys(("0x", "2x", "3x"), "learned in 3 to 5 h") | {"4x": "learned, unstable in training"}
 PAPER_BLENDS = {"1x,2x schedule=ramp": "speeds up, slows down", "2x,3x schedule=ramp": "speeds up, slows down"}
 PAPER_BLENDS |= {"1x,2x schedule=adaptive": "h = 0.22 m"}
@@ -257,6 +261,37 @@ def _kept(result: Result, subjects: Sequence[str]) -> str:
     errors = [abs(speed - told) for speed, told in pairs if speed is not None and told is not None]
     off = f", {max(errors):.2f} m/s off at most" if errors else ""
     return f"{len(up)} of {len(subjects)} speeds up for 10 s{off}"
+
+
+def verdicts(result: Result) -> Table:
+    """The same trials on both engines: how many have the same outcome."""
+    header = ("the same trials on both engines", "cells", "same verdict", "different at a limit", "elsewhere")
+    rows = [
+        (
+            row["kind"],
+            str(row["cells"]),
+            f"{row['same']} ({row['same_share']:.1%})",
+            str(row["differ_at_border"]),
+            str(row["differ_elsewhere"]),
+            " and ".join(f"{row[f'seconds_{engine}']:.0f} s" for engine in ENGINES) if TIME in row else NO_FIGURE,
+            result.provenance["command"],
+        )
+        for row in result.content["rows"]
+    ]
+    return Table((*header, "MuJoCo C and MJX took", "command"), rows, [])
+
+
+def engines(result: Result) -> Table:
+    """The returns of each policy on both engines."""
+    header = ("trained on", "physics in the test, Hz", *(f"{reward} return on {e}" for reward, e in RETURNS_ON))
+    found: dict[tuple[str, str], dict[tuple[str, str], float]] = {}
+    for row in result.content["rows"]:
+        origin = f"{row['trained_on']} at {row['trained_at_hz']} Hz, {row['samples']:,} samples"
+        returns = {(reward, row["walks_on"]): row[f"return_{reward}"] for reward in ("plain", "weighted")}
+        found.setdefault((origin, str(row["physics_hz"])), {}).update(returns)
+    command = result.provenance["command"]
+    rows = [(*key, *(f"{values[pair]:.1f}" for pair in RETURNS_ON), command) for key, values in found.items()]
+    return Table((*header, "command"), rows, [])
 
 
 def markdown(table: Table) -> str:

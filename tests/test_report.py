@@ -73,6 +73,13 @@ def everything(tmp_path):
     write(folder, "speeds.json", speeds, profile=ride)
     up = {"subject": "blend:1x,2x schedule=ramp", "quantity": "starts_up", "value": 19, "unit": "of 20", "n": 20}
     write(folder, "interpolation.json", [up], rides={up["subject"]: ride})
+    cells = {"cells": 40, "same": 39, "same_share": 0.975, "differ_at_border": 1, "differ_elsewhere": 0}
+    seconds = {"seconds_native": 2.4, "seconds_mjx": 30.6}
+    write(folder, "verdicts.json", [{"kind": "push"} | cells | seconds, {"kind": "all"} | cells])
+    origin = {"trained_on": "native", "trained_at_hz": 500, "samples": 4096, "physics_hz": 2000}
+    returns = [("native", 290.04, 280), ("mjx", 289.96, 279)]
+    walked = [{"walks_on": on, "return_plain": plain, "return_weighted": w} for on, plain, w in returns]
+    write(folder, "engines.json", [origin | row for row in walked])
     return folder
 
 
@@ -106,7 +113,7 @@ def test_what_was_not_measured_is_named_and_never_shown(everything, tmp_path):
     empty.mkdir()
     assert tables.beside_the_paper(empty).rows == []
     assert tables.speeds_and_blends(empty) is None
-    assert whole_page(empty).count("Not measured yet. ") == 12
+    assert whole_page(empty).count("Not measured yet. ") == 13
 
 
 def test_speeds_and_blends(everything):
@@ -122,6 +129,19 @@ def test_speeds_and_blends(everything):
             "2 training seeds",
         ),
         ("blend:1x,2x schedule=ramp", "speeds up, slows down", "19 of 20 starts up"),
+    ]
+
+
+def test_two_engines(everything):
+    (verdicts,), (engines,) = tables.find(everything, "verdicts.json"), tables.find(everything, "engines.json")
+    assert [row[:-1] for row in tables.verdicts(verdicts).rows] == [
+        ("push", "40", "39 (97.5%)", "1", "0", "2 s and 31 s"),
+        ("all", "40", "39 (97.5%)", "1", "0", "–"),
+    ]
+    table = tables.engines(engines)
+    assert table.header[2:4] == ("plain return on native", "plain return on mjx")
+    assert [row[:-1] for row in table.rows] == [
+        ("native at 500 Hz, 4,096 samples", "2000", "290.0", "290.0", "280.0", "279.0")
     ]
 
 
