@@ -181,8 +181,8 @@ def sped(folder: Path) -> str:
             curves = rides or ({"profile": profile} if profile else {})
             caption = "{}: speed; dashed as told; shaded from the least to the greatest of the robots up."
             shown += [(plots.ride(curve), caption.format(name)) for name, curve in curves.items()]
-    compared = tables.speeds_and_blends(folder)
-    body = (table(compared) if compared else "") + drawn(shown)
+    compared = [tables.speeds_and_blends(folder), tables.any_beside_single_speeds(folder)]
+    body = "".join(table(content) for content in compared if content) + drawn(shown)
     command = "python -m experiments.speeds out=experiments/results/speeds.json"
     return section("Speeds and blends", "Policies for other speeds, and changing between them.", body, sources, command)
 
@@ -205,7 +205,11 @@ def walked_twice(folder: Path) -> str:
 
 def block(folder: Path) -> str:
     """What stands between the markers of the README."""
-    found = [tables.beside_the_paper(folder), tables.speeds_and_blends(folder)]
+    found = [
+        tables.beside_the_paper(folder),
+        tables.speeds_and_blends(folder),
+        tables.any_beside_single_speeds(folder),
+    ]
     return "\n\n".join(tables.markdown(content) for content in found if content)
 
 

@@ -4,7 +4,7 @@ import json
 import re
 import statistics
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,12 +86,24 @@ WALKERS = {
 """Our walkers, and the glob pattern of their evaluations: a policy has one for each seed that it was trained with."""
 
 
+ALL_SPEEDS = {
+    "1x": WALKERS["1x"],
+    "any speed=1x": "evaluate/any-1x-seed*.json",
+    "2x": "evaluate/2x-seed*.json",
+    "any speed=2x": "evaluate/any-2x-seed*.json",
+}
+"""The same for the policy of all speeds beside those of one."""
+
+
 def walkers(folder: Path, measurement: str = "") -> list[tuple[str, list[Result]]]:
     """The walkers that have been evaluated or, if one is named, been through another measurement, with the results.
 
     Those of other measurements have the names of the evaluations, in a folder of the measurement's name.
     """
-    patterns = {walker: f"{measurement}/{Path(p).name}" if measurement else p for walker, p in WALKERS.items()}
+    return _measured(folder, {w: f"{measurement}/{Path(p).name}" if measurement else p for w, p in WALKERS.items()})
+
+
+def _measured(folder: Path, patterns: Mapping[str, str]) -> list[tuple[str, list[Result]]]:
     found = [(walker, find(folder, pattern)) for walker, pattern in patterns.items()]
     return [(walker, results) for walker, results in found if results]
 
@@ -186,6 +198,17 @@ def beside_the_paper(folder: Path) -> Table:
     notes = ["By `python -m cassie_mjx.evaluate policy=NAME` with the row's argument. " + RETURNS + _best(measured)]
     notes += [f"Not measured yet: {'; '.join(missing)}."] if missing else []
     return Table((*header, "command"), rows, [*notes, sources([r for _, found in measured for r in found])])
+
+
+def any_beside_single_speeds(folder: Path) -> Table | None:
+    """The policy of all speeds beside those of one, in the paper's experiments; None before it has a result."""
+    measured = _measured(folder, ALL_SPEEDS)
+    if not any(walker.startswith("any") for walker, _ in measured):
+        return None
+    header = ("MuJoCo C, 2 kHz", *(f"`{walker}`{_seeds(results)}" for walker, results in measured), "command")
+    lines = [(row, [cell(row, found) for _, found in measured]) for row in ROWS]
+    rows = [(row.experiment, *cells, f"suite={row.suite}") for row, cells in lines if set(cells) != {NO_FIGURE}]
+    return Table(header, rows, [sources([r for _, found in measured for r in found])])
 
 
 def _seeds(results: Sequence[Result]) -> str:

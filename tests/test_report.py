@@ -132,6 +132,20 @@ def test_speeds_and_blends(everything):
     ]
 
 
+def test_the_policy_of_all_speeds_stands_beside_those_of_one(everything):
+    assert tables.any_beside_single_speeds(everything) is None
+    write(everything, "evaluate/any-2x-seed0.json", figures(push_forward_N=90, terrain_h_m=0.2))
+    table = tables.any_beside_single_speeds(everything)
+    assert table is not None
+    assert table.header[1:-1] == (
+        "`1x`, mean of 3 training seeds (least to greatest)",
+        "`any speed=2x`, training seed 0",
+    )
+    assert row_of(table, "push forward, worst")["`any speed=2x`, training seed 0"] == "90"
+    assert row_of(table, "undisturbed")["`any speed=2x`, training seed 0"] == "–"
+    assert tables.markdown(table) in block(everything)
+
+
 def test_two_engines(everything):
     (verdicts,), (engines,) = tables.find(everything, "verdicts.json"), tables.find(everything, "engines.json")
     assert [row[:-1] for row in tables.verdicts(verdicts).rows] == [
