@@ -40,6 +40,8 @@ class WalkConfig:
 
     It is drawn for each episode. Robots learn from it to come back to the speed that they are told, sooner than by
     losing it themselves; 0 starts every episode on the reference, as in the paper."""
+    start_offset_m: float = 0.0
+    """How far to the left or right of the reference's line an episode may begin, m. It is drawn for each episode."""
     command_s: float | None = 4.0
     """Mean time from one commanded speed to the next, s, where there is a range of them; null for one an episode."""
     damping: float = 1.0
@@ -57,6 +59,8 @@ class WalkConfig:
             raise ValueError(f"x_limit_m={self.x_limit_m} must be greater than 0, or null.")
         if not 0 <= self.start_velocity_mps <= 3:
             raise ValueError(f"start_velocity_mps={self.start_velocity_mps} must be from 0 to 3.")
+        if not 0 <= self.start_offset_m <= 3:
+            raise ValueError(f"start_offset_m={self.start_offset_m} must be from 0 to 3.")
         if self.command_s is not None and not self.command_s >= CONTROL_PERIOD_S:
             raise ValueError(f"command_s={self.command_s} must be at least {CONTROL_PERIOD_S}, or null.")
         if self.episode_steps < 1:
@@ -89,7 +93,7 @@ T = TypeVar("T")
 
 # What the key of a step or reset is folded with for all but phases, which it draws as it is: `randint` splits it in
 # two, and folding with 0 or 1 would give those halves again.
-_SPEED_KEY, _DISTURBANCE_KEY, _VELOCITY_KEY, _COMMAND_KEY = 2, 3, 4, 5
+_SPEED_KEY, _DISTURBANCE_KEY, _VELOCITY_KEY, _COMMAND_KEY, _OFFSET_KEY = 2, 3, 4, 5, 6
 
 ENDS = ("nan", "fallen", "low_reward", "strayed")
 """What an episode can end by before its time, as `WalkState.metrics` names it; one can end by several: a NaN is a fall,
@@ -97,6 +101,15 @@ too, and earns 0."""
 
 # Unit in which a critic is told how far a robot is ahead: half of what ends an episode, so of the order of 1.
 LEAD_M = 0.25
+
+
+class Start(NamedTuple):
+    """How far off the reference motion robots begin."""
+
+    velocity: Array
+    """What the pelvis' velocity along x and y is on top of the reference's, [B, 2], m/s."""
+    y: Array
+    """How far to the left of the reference the pelvis is, [B], m."""
 
 
 class _Judgement(NamedTuple):
@@ -151,29 +164,29 @@ class WalkEnv:
         self._start = jax.jit(self._start_states)
 
     def reset(self, key: jax.Array) -> WalkState:
-        """Robots near the reference motion: phase, speed, velocity and disturbance are drawn at random."""
-        phase, speed, velocity = self._draw(key, self.robots)
+        """Robots near the reference motion: phase, speed, how far off it and disturbance are drawn at random."""
+        phase, speed, off = self._draw(key, self.robots)
         disturbance = Disturbance.none(self.robots)
         if self.config.disturbance.active:
             disturbance_key = jax.random.fold_in(key, _DISTURBANCE_KEY)
             disturbance = draw(self.config.disturbance, disturbance_key, self.robots, self._physics_hz)
-        return self.reset_at(phase, disturbance, speed, velocity)
+        return self.reset_at(phase, disturbance, speed, off)
 
     def reset_at(
-        self, phase: Array, disturbance: Disturbance, speed: Array | None = None, velocity: Array | None = None
+        self, phase: Array, disturbance: Disturbance, speed: Array | None = None, off: Start | None = None
     ) -> WalkState:
-        """Robots on the reference motion but for `velocity`, under `disturbance`; on terrain above a crest.
+        """Robots on the reference motion or a little `off`, under `disturbance`; on terrain above a crest.
 
         Args:
           phase: samples of the stride, [B].
           disturbance: what acts on them from now on.
           speed: factors on the motion's speed, [B]; evenly from the lowest to the highest unless given.
-          velocity: what the pelvis' velocity along x and y is on top of the reference's, [B, 2], m/s; 0 unless given.
+          off: how far off the reference they begin; not at all unless given.
         """
         speed = np.linspace(*self.speeds, len(phase)) if speed is None else speed
-        velocity = np.zeros((len(phase), 2)) if velocity is None else velocity
+        off = Start(np.zeros((len(phase), 2), np.float32), np.zeros(len(phase), np.float32)) if off is None else off
         phase, speed = jnp.asarray(phase, jnp.int32), jnp.asarray(speed, jnp.float32)
-        clock, qpos, qvel, seen = self._start(phase, speed, jnp.asarray(velocity, jnp.float32), disturbance.terrain)
+        clock, qpos, qvel, seen = self._start(phase, speed, off, disturbance.terrain)
         physics = self.physics.init(qpos, qvel)
         disturbance = _beside(physics, disturbance)
         zeros = jnp.zeros(len(phase))
@@ -209,8 +222,8 @@ class WalkEnv:
         reference, _ = clocks.reference(self.motion, clock, ahead=1)
         return reference[:, robot.ACTIVE_QPOS] + action
 
-    def _draw(self, key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Phase [robots], speed [robots] and extra velocity [robots, 2] of new episodes.
+    def _draw(self, key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array, Start]:
+        """Phase [robots], speed [robots] and how far off the reference new episodes begin.
 
         `robots` is a device's share of the B robots if there are several.
         """
@@ -219,17 +232,19 @@ class WalkEnv:
         size_key, angle_key = jax.random.split(jax.random.fold_in(key, _VELOCITY_KEY))
         size = jax.random.uniform(size_key, (robots, 1), maxval=self.config.start_velocity_mps)
         angle = jax.random.uniform(angle_key, (robots,), maxval=2 * jnp.pi)
-        return phase, speed, size * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
+        limit = self.config.start_offset_m
+        y = jax.random.uniform(jax.random.fold_in(key, _OFFSET_KEY), (robots,), minval=-limit, maxval=limit)
+        return phase, speed, Start(size * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1), y)
 
     def _observe(self, clock: Clock, qpos: jax.Array, qvel: jax.Array) -> jax.Array:
         return observation.build(qpos, qvel, *clocks.reference(self.motion, clock, ahead=1))
 
     def _start_states(
-        self, phase: jax.Array, speed: jax.Array, velocity: jax.Array, terrain: jax.Array
+        self, phase: jax.Array, speed: jax.Array, off: Start, terrain: jax.Array
     ) -> tuple[Clock, jax.Array, jax.Array, jax.Array]:
         clock = clocks.start(self.motion, phase, speed, terrain)
         qpos, qvel = clocks.reference(self.motion, clock)
-        qpos, qvel = qpos.at[:, 2].add(terrain), qvel.at[:, :2].add(velocity)
+        qpos, qvel = qpos.at[:, 1].add(off.y).at[:, 2].add(terrain), qvel.at[:, :2].add(off.velocity)
         return clock, qpos, qvel, self._observe(clock, qpos, qvel)
 
     def _judge_step(
@@ -268,11 +283,11 @@ class WalkEnv:
         causes = dict(zip(ENDS, (nan, fallen, low, left), strict=True))
         disturbance = self._renew(disturbance, clock, ended, key)
         clock = self._command(clock, key)
-        phase, speed, velocity = self._draw(key, len(nan))
+        phase, speed, off = self._draw(key, len(nan))
         # Where speeds are commanded on the way, episodes go on at that of the last: so how long a speed is walked does
         # not depend on how early its episodes end.
         speed = speed if self._command_s is None else clock.speed
-        fresh = self._start_states(phase, speed, velocity, disturbance.terrain)
+        fresh = self._start_states(phase, speed, off, disturbance.terrain)
         fresh_clock, fresh_qpos, fresh_qvel, fresh_seen = fresh
         if self._command_s is not None:
             fresh_clock = replace(fresh_clock, command=clock.command)
