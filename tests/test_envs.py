@@ -169,6 +169,18 @@ def test_robots_start_at_velocities_of_their_own(native, motion):
         np.testing.assert_allclose(state.observation[:, 6:8], state.physics.qvel[:, :2], atol=1e-6)
 
 
+def test_robots_start_beside_the_line_as_far_as_the_task_says(native, motion):
+    env = WalkEnv(native, motion, replace(ON_THE_REFERENCE, start_offset_m=1.0, episode_steps=1), 256)
+    first = env.reset(jax.random.key(7))
+    for state in (first, env.step(first, np.zeros((256, 10)), jax.random.key(8))):
+        reference = motion.qpos[np.asarray(state.clock.phase)]
+        offset = state.physics.qpos[:, 1] - reference[:, 1]
+        assert offset.min() < -0.9 and offset.max() > 0.9 and np.abs(offset).max() <= 1 + 1e-6
+        assert abs(offset.mean()) < 0.1, "either side is as likely"
+        np.testing.assert_allclose(np.delete(state.physics.qpos, 1, axis=1), np.delete(reference, 1, axis=1), atol=1e-6)
+        np.testing.assert_allclose(state.observation[:, 0], state.physics.qpos[:, 1], atol=1e-6)
+
+
 def test_one_speed_for_all_is_the_stretched_motion_from_the_same_phases(native, motion):
     key = jax.random.key(7)
     fast = WalkEnv(native, motion, ON_THE_REFERENCE, ROBOTS, speeds=(2.0, 2.0)).reset(key)
@@ -256,6 +268,8 @@ def test_bad_configurations():
         WalkConfig(x_limit_m=0)
     with pytest.raises(ValueError, match="start_velocity_mps=-1 must be from 0 to 3"):
         WalkConfig(start_velocity_mps=-1)
+    with pytest.raises(ValueError, match="start_offset_m=4 must be from 0 to 3"):
+        WalkConfig(start_offset_m=4)
     with pytest.raises(ValueError, match=r"command_s=0 must be at least 0\.032, or null"):
         WalkConfig(command_s=0)
     with pytest.raises(ValueError, match="episode_steps=0 must be at least 1"):
