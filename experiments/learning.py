@@ -85,7 +85,7 @@ STUDIES = {
     "walking": (replace(DEFAULT, seeds=(0, 1, 2, 3, 4)),),
     "starts": (DEFAULT, Variant("1x-exact-starts", {"walk.start_velocity_mps": "0"})),
     "reward": (DEFAULT, Variant("1x-plain", {"walk.reward": "plain"})),
-    "rate": (DEFAULT, Variant("1x-1000hz", {"physics_hz": "1000"})),
+    "rate": (DEFAULT, Variant("1x-1000hz", {"physics_hz": "1000"}, (0,))),
     "learning_speeds": (
         *(Variant(speed, {"speed": speed, "init": "1x"}) for speed in ("0x", "2x", "3x", "4x")),
         # From scratch: the input statistics of 1x would clip a reference velocity beyond 1.3 m/s.

@@ -175,7 +175,9 @@ def test_robots_start_beside_the_line_as_far_as_the_task_says(native, motion):
     for state in (first, env.step(first, np.zeros((256, 10)), jax.random.key(8))):
         reference = motion.qpos[np.asarray(state.clock.phase)]
         offset = state.physics.qpos[:, 1] - reference[:, 1]
-        assert offset.min() < -0.9 and offset.max() > 0.9 and np.abs(offset).max() <= 1 + 1e-6
+        assert offset.min() < -0.9
+        assert offset.max() > 0.9
+        assert np.abs(offset).max() <= 1 + 1e-6
         assert abs(offset.mean()) < 0.1, "either side is as likely"
         np.testing.assert_allclose(np.delete(state.physics.qpos, 1, axis=1), np.delete(reference, 1, axis=1), atol=1e-6)
         np.testing.assert_allclose(state.observation[:, 0], state.physics.qpos[:, 1], atol=1e-6)
