@@ -32,6 +32,9 @@ HOLD_S = 4.0
 FILTER_S = 0.352
 """Time constant of the speed's filter, s: a footstep of the reference, which damps its swing of speed to a sixth."""
 
+KEENNESS = 0.5
+"""How much faster, in m/s, `adaptive` tells a robot to walk for each m/s that it is too slow; 1 makes it swing."""
+
 Act: TypeAlias = Callable[[Array], Array]
 """A deterministic policy: observation [B, 80] to action [B, 10]."""
 
@@ -143,9 +146,14 @@ def ramp(progress: Progress, speeds: Sequence[float]) -> Array:
 
 
 def adaptive(progress: Progress, speeds: Sequence[float]) -> Array:
-    """Where the references' mean speed is the robot's filtered speed; beyond them, the end of the chain."""
-    # lambda = (v_2 - v_f) / (v_2 - v_1), clipped to 0..1
-    return namespace(progress.speed).interp(progress.speed, np.array(speeds), np.arange(len(speeds), dtype=float))
+    """Where the mean speed is the first policy's and half of what the robot lacks of it; beyond the chain, its ends.
+
+    So robots that a slope slows down are told to walk faster. Under the opposite rule, the policy of the speed that a
+    robot has, nothing would bring back a speed once lost.
+    """
+    # v = v_1 + (v_1 - v_f) / 2,  lambda = (v_2 - v) / (v_2 - v_1), clipped to 0..1
+    told = speeds[0] + KEENNESS * (speeds[0] - progress.speed)
+    return namespace(progress.speed).interp(told, np.array(speeds), np.arange(len(speeds), dtype=float))
 
 
 SCHEDULES: dict[str, Schedule] = {"ramp": ramp, "adaptive": adaptive}

@@ -36,7 +36,7 @@ class SubjectConfig:
     speed: str | None = None
     """Speed at which a policy is told to walk, such as "2.5x"; null for its own, 1x if it was trained at any."""
     schedule: str | None = None
-    """How a blend changes: "ramp", to its last policy and back in time, or "adaptive", with the robot's speed."""
+    """How a blend changes: "ramp", to its last policy and back in time, or "adaptive", against the loss of speed."""
 
     def subject(self) -> Subject:
         """The subject of these names; see `resolve`."""
@@ -258,7 +258,7 @@ class BlendSubject:
         if schedule not in SCHEDULES:
             raise ValueError(f"schedule={schedule} is not known; choose one of {', '.join(SCHEDULES)}.")
         if schedule == "adaptive" and (np.diff(self.speeds) <= 0).any():
-            raise ValueError(f"{self.name} follows the speed; name its policies from the slowest to the fastest.")
+            raise ValueError(f"{self.name} goes by speed; name its policies from the slowest to the fastest.")
         self._schedule = SCHEDULES[schedule]
         self._act = jax.jit(self._blended)
 

@@ -3,7 +3,7 @@
 Robots in steady walking at 20 phases of the stride are blended up to a faster policy and back, on MuJoCo C at 2 kHz:
 0.5 to 1.0 and 1.0 to 1.5 m a stride, and from stepping in place through all policies in one run. Counted are falls, and
 how far the speed, averaged over a stride, is from the blended reference's. The second part measures the terrain that
-1x and 2x survive, and their blend that follows the robot's own speed.
+1x and 2x survive, and their blend that makes up for the loss of speed uphill.
 """
 
 from collections.abc import Sequence

@@ -135,10 +135,10 @@ def test_ramp_at_known_times():
     np.testing.assert_allclose(interpolate.ramp(at([75, 200, 350]), [0, 1, 2, 3]), [1.5, 3, 1.5], atol=1e-9)
 
 
-def test_adaptive_follows_the_speed_within_the_chain():
-    ours = interpolate.adaptive(going([0.2, 0.7, 0.875, 1.4, 2.0]), [0.7, 1.4])
-    np.testing.assert_allclose(ours, [0, 0, 0.25, 1, 1], atol=1e-12)
-    np.testing.assert_allclose(interpolate.adaptive(going([1.5]), [0.0, 1.0, 2.0]), [1.5])
+def test_adaptive_makes_up_for_half_of_the_speed_that_is_missing():
+    ours = interpolate.adaptive(going([2.0, 0.7, 0.35, 0.0, -0.7, -2.0]), [0.7, 1.4])
+    np.testing.assert_allclose(ours, [0, 0, 0.25, 0.5, 1, 1], atol=1e-12)
+    np.testing.assert_allclose(interpolate.adaptive(going([-1.0]), [1.0, 1.5, 2.5]), [1.5])
 
 
 def test_the_filter_settles_exponentially():
@@ -169,11 +169,11 @@ def test_a_blend_walks_as_its_policies_at_the_ends_of_the_ramp(policy_files, sta
         np.testing.assert_allclose(after.speed, interpolate.filtered(memory.speed, states[1][:, 0]), rtol=1e-5)
 
 
-def test_an_adaptive_blend_takes_the_policy_of_the_robots_speed(policy_files, states):
+def test_an_adaptive_blend_takes_a_faster_policy_for_slower_robots(policy_files, states):
     blend = subjects.resolve(f"blend:{policy_files[0]},{policy_files[1]}", schedule="adaptive")
     qpos, qvel = states[0], states[1].copy()
     phase = np.zeros(ROBOTS, np.int32)
-    for speed, path in ((0.3, policy_files[0]), (2.0, policy_files[1])):
+    for speed, path in ((2.0, policy_files[0]), (-0.9, policy_files[1])):
         qvel[:, 0] = speed
         ours, _ = blend.act(NO_ENGINE, seen((qpos, qvel)), Progress(phase, phase, np.full(ROBOTS, speed, np.float32)))
         theirs, _ = subjects.resolve(str(path)).act(NO_ENGINE, seen((qpos, qvel)), phase)
