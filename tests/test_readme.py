@@ -59,6 +59,17 @@ def learned():
     yield f"{plain['min']:.0f} to {plain['max']:.0f} by the plain reward and {best['min']:.0f} to {best['max']:.0f} by"
 
 
+def learned_from_the_plain_reward():
+    """What learning from the plain reward comes to, beside the default."""
+    found = {(row["variant"], row["quantity"]): row for row in rows("reward")}
+    plain, weighted = (found["1x-plain", f"best_return_{reward}"] for reward in ("plain", "weighted"))
+    slow, fast = (found[variant, "samples_to_250_plain"] for variant in ("1x-plain", "1x"))
+    yield f"{plain['min']:.0f} to {plain['max']:.0f} by the plain reward and to"
+    yield f"{weighted['min']:.0f} to {weighted['max']:.0f} by the weighted one, and"
+    yield f"{slow['min'] / 1e3:.0f} to {slow['max'] / 1e3:.0f} thousand samples, where the default takes"
+    yield f"{fast['mean'] / 1e3:.0f} thousand. Near"
+
+
 def tuned():
     """What the tuner found, beside the presets."""
     for preset in ("compliant", "stiff"):
@@ -84,7 +95,7 @@ def test_what_a_page_links_to_exists(page):
     assert [target for target in targets if not (ROOT / page).parent.joinpath(target).exists()] == []
 
 
-@pytest.mark.parametrize("piece", [*quoted(), *learned(), *tuned()])
+@pytest.mark.parametrize("piece", [*quoted(), *learned(), *learned_from_the_plain_reward(), *tuned()])
 def test_what_the_readme_quotes_is_what_was_measured(piece):
     assert piece in TEXT
 
