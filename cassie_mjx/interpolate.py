@@ -33,7 +33,7 @@ FILTER_S = 0.352
 """Time constant of the speed's filter, s: a footstep of the reference, which damps its swing of speed to a sixth."""
 
 KEENNESS = 0.5
-"""How much faster, in m/s, `adaptive` tells a robot to walk for each m/s that it is too slow; 1 makes it swing."""
+"""How much faster, m/s, `adaptive` tells a robot to walk for each m/s that it is too slow."""
 
 Act: TypeAlias = Callable[[Array], Array]
 """A deterministic policy: observation [B, 80] to action [B, 10]."""
@@ -146,12 +146,12 @@ def ramp(progress: Progress, speeds: Sequence[float]) -> Array:
 
 
 def adaptive(progress: Progress, speeds: Sequence[float]) -> Array:
-    """Where the mean speed is the first policy's and half of what the robot lacks of it; beyond the chain, its ends.
+    """Where the mean speed is v_1 + `KEENNESS` (v_1 - v_f), v_1 the first policy's, v_f the robot's; within the chain.
 
-    So robots that a slope slows down are told to walk faster. Under the opposite rule, the policy of the speed that a
-    robot has, nothing would bring back a speed once lost.
+    Robots walk as the first policy does until a slope slows them down: then they are told to walk faster. The paper
+    prints no rule. Under the opposite one, the policy of the speed that a robot has, nothing brings a lost speed back.
     """
-    # v = v_1 + (v_1 - v_f) / 2,  lambda = (v_2 - v) / (v_2 - v_1), clipped to 0..1
+    # v = v_1 + k (v_1 - v_f),  lambda = (v_2 - v) / (v_2 - v_1), clipped to 0..1
     told = speeds[0] + KEENNESS * (speeds[0] - progress.speed)
     return namespace(progress.speed).interp(told, np.array(speeds), np.arange(len(speeds), dtype=float))
 

@@ -73,6 +73,7 @@ PAPER = {
     CRITIC: "1e-2",
 }
 DEFAULT = Variant("1x", {})
+OTHER_SPEEDS = tuple(Variant(speed, {"speed": speed, "init": "1x"}) for speed in ("0x", "2x", "3x", "4x"))
 
 LATER = {"init": None, "ppo.privileged_critic": False, "ppo.final_action_std": None}
 LATER |= {"walk.x_limit_m": None, "walk.damping": 1.0, "walk.start_velocity_mps": 0, "walk.start_offset_m": 0}
@@ -87,12 +88,12 @@ STUDIES = {
     "reward": (DEFAULT, Variant("1x-plain", {"walk.reward": "plain"})),
     "rate": (DEFAULT, Variant("1x-1000hz", {"physics_hz": "1000"}, (0,))),
     "learning_speeds": (
-        *(Variant(speed, {"speed": speed, "init": "1x"}) for speed in ("0x", "2x", "3x", "4x")),
+        *OTHER_SPEEDS,
         # From scratch: the input statistics of 1x would clip a reference velocity beyond 1.3 m/s.
         Variant("any", {"speed": "any", "ppo.iterations": "600"}),
         Variant("any-on", {"speed": "any", "init": "runs/studies/any-seed0"}, (0,)),
     ),
-    "warm_start": (Variant("4x", {"speed": "4x", "init": "1x"}), Variant("4x-from-scratch", {"speed": "4x"})),
+    "warm_start": (OTHER_SPEEDS[-1], Variant("4x-from-scratch", {"speed": "4x"})),
     # What the paper prints, a tenth of its step sizes, and readings that differ from the printed one in a single point.
     "paper": (
         Variant("paper-printed", PAPER),
@@ -141,8 +142,8 @@ def train(folder: Path, variant: Variant, seed: int) -> None:
         raise ValueError(f"Training in {folder} ended with status {status}; the same command goes on from there.")
 
 
-def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
-    """What a finished run did: its configuration, curve, best returns, and samples and minutes to the goal.
+def check(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
+    """What a run's config.json holds: its configuration and provenance.
 
     Raises:
       ValueError: it was trained with other settings than the variant's, in whatever point.
@@ -153,6 +154,16 @@ def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
     wrong = [f"{key}={found.get(key)}" for key, value in wanted.items() if found.get(key) != value]
     if wrong:
         raise ValueError(f"{folder} was trained with {', '.join(wrong)}, unlike {variant.name}; move it away.")
+    return held
+
+
+def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
+    """What a finished run did: its configuration, curve, best returns, and samples and minutes to the goal.
+
+    Raises:
+      ValueError: it was trained with other settings than the variant's, in whatever point.
+    """
+    held = check(folder, variant, seed)
     lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     curve = {name: [_rounded(line[key]) for line in lines] for name, key in COLUMNS.items()}
     return {

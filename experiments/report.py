@@ -22,7 +22,7 @@ STUDIES = {
     "walking": "Learning to walk",
     "starts": "Starting up to 0.5 m/s off the reference's velocity, and at it",
     "reward": "Learning from the weighted reward, and from the plain one",
-    "rate": "Learning with physics at 500 Hz, and at 1 kHz",
+    "rate": "Learning with physics at 500 Hz, and (one seed) at 1 kHz",
     "learning_speeds": "Learning other speeds from the 1x policy, and all of them from scratch",
     "warm_start": "Learning 4x from the 1x policy, and from scratch",
     "paper": "The paper's learner as printed, and readings that differ in one point",
@@ -59,7 +59,8 @@ DEFINITIONS = (
 def whole_page(folder: Path) -> str:
     """The web page, which needs no other file."""
     sections = [compared(folder), *learned(folder), pushed(folder), survived(folder), strode(folder), sped(folder)]
-    sections.append(walked_twice(folder))
+    sections.append(told_speeds(folder))
+    sections += walked_twice(folder)
     return page.document("Cassie MJX: what has been measured", INTRODUCTION, sections)
 
 
@@ -181,26 +182,50 @@ def sped(folder: Path) -> str:
             curves = rides or ({"profile": profile} if profile else {})
             caption = "{}: speed; dashed as told; shaded from the least to the greatest of the robots up."
             shown += [(plots.ride(curve), caption.format(name)) for name, curve in curves.items()]
-    compared = [tables.speeds_and_blends(folder), tables.any_beside_single_speeds(folder)]
-    body = "".join(table(content) for content in compared if content) + drawn(shown)
+    compared = tables.speeds_and_blends(folder)
+    body = (table(compared) if compared else "") + drawn(shown)
     command = "python -m experiments.speeds out=experiments/results/speeds.json"
     return section("Speeds and blends", "Policies for other speeds, and changing between them.", body, sources, command)
 
 
-def walked_twice(folder: Path) -> str:
+def told_speeds(folder: Path) -> str:
+    """The policy of all speeds in the paper's experiments."""
+    found = tables.any_beside_single_speeds(folder)
+    results = [result for _, results in tables.all_speeds(folder) for result in results] if found else []
+    text = "One policy that is told its speed, beside policies that were trained at one."
+    command = (
+        "python -m cassie_mjx.evaluate policy=any speed=2x suite=all out=experiments/results/evaluate/any-2x-seed0.json"
+    )
+    return section("One policy for all speeds", text, table(found) if found else "", results, command)
+
+
+def walked_twice(folder: Path) -> list[str]:
     """The same trials and the same policies on both engines."""
-    body, sources = "", []
-    for name, content in (("verdicts.json", tables.verdicts), ("engines.json", tables.engines)):
-        for result in find(folder, name):
+    sections = []
+    for name, title, text, content, arguments in (
+        (
+            "verdicts",
+            "The same trials on both engines",
+            "MuJoCo C and MJX at 2 kHz with the same contacts, from the same states. A verdict is whether a trial was "
+            "survived; it is at a limit if the next weaker or stronger disturbance has another.",
+            tables.verdicts,
+            "policy=1x",
+        ),
+        (
+            "engines",
+            "The engine trained on, and the other",
+            "Returns on the engines as they train: MJX with the feet's contacts alone and fewer solver iterations.",
+            tables.engines,
+            "runs=runs/1x-seed0",
+        ),
+    ):
+        body, found = "", find(folder, f"{name}.json")
+        for result in found:
             with blaming(folder / result.name):
                 body += table(content(result))
-            sources.append(result)
-    text = (
-        "MuJoCo C (native) and MJX at the same rate with the same contacts, from the same states. A verdict is whether "
-        "a trial was survived; it is at a limit if the next weaker or stronger disturbance has another."
-    )
-    command = "python -m experiments.verdicts policy=1x out=experiments/results/verdicts.json"
-    return section("Two engines", text, body, sources, command)
+        command = f"python -m experiments.{name} {arguments} out=experiments/results/{name}.json"
+        sections.append(section(title, text, body, found, command))
+    return sections
 
 
 def block(folder: Path) -> str:

@@ -6,6 +6,7 @@ MuJoCo C at 2 kHz. How they learn, `experiments.learning study=learning_speeds` 
 """
 
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,11 @@ from cassie_mjx.physics.types import Disturbance
 from cassie_mjx.reference import MAX_STRETCH, nearest_sample
 from cassie_mjx.subjects import PolicySubject
 from cassie_mjx.suites import Setting
+from experiments import learning
 from experiments.interpolation import STARTS, Ride
 
+VARIANTS = {variant.name: variant for variant in (learning.DEFAULT, *learning.OTHER_SPEEDS)}
+"""How the policies of one speed are trained."""
 COMMANDS = np.linspace(0, MAX_STRETCH, 20)
 CHANGE_S, PROFILE_S = 2.0, 60.0
 
@@ -38,16 +42,28 @@ class SpeedsConfig:
     any_speed: str | None = "any"
     """Policy of all speeds; null for none."""
     runs: str = ""
-    """Folder of training runs <policy>-seed<seed>, as `experiments.learning` names them, whose policies are measured
-    under the policy's name and the seed; the policies that come with the package if empty."""
+    """Folder of the runs <policy>-seed<seed> of `experiments.learning study=learning_speeds`, whose policies of one
+    speed are measured under the policy's name and the seed; if empty, those that come with the package are."""
     training_seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of those runs."""
-    seed: int = 0
+    profile_seed: int = 0
     """What the speeds of the profile are drawn from."""
     out: str = "speeds.json"
     """Result file."""
     plot: str = ""
     """File for a picture; none if empty."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if there is nothing to measure."""
+        if not self.policies:
+            raise ValueError("policies is empty; name at least one, such as policies=2x.")
+        unknown = [name for name in self.policies if self.runs and name not in VARIANTS]
+        if unknown:
+            raise ValueError(
+                f"policies={','.join(unknown)}: runs has {', '.join(VARIANTS)}; name some of them."
+            )
+        if self.runs and not self.training_seeds:
+            raise ValueError("training_seeds is empty; name at least one, such as training_seeds=0.")
 
 
 def single_speeds(config: SpeedsConfig) -> list[tuple[dict[str, Any], PolicySubject]]:
@@ -58,11 +74,13 @@ def single_speeds(config: SpeedsConfig) -> list[tuple[dict[str, Any], PolicySubj
     """
     if not config.runs:
         return [({"subject": name}, subjects.resolve_policy(name)) for name in config.policies]
-    return [
-        ({"subject": name, "seed": seed}, subjects.resolve_policy(f"{config.runs}/{name}-seed{seed}"))
-        for name in config.policies
-        for seed in config.training_seeds
-    ]
+    found = []
+    for name, seed in product(config.policies, config.training_seeds):
+        folder = Path(config.runs) / f"{name}-seed{seed}"
+        policy = subjects.resolve_policy(str(folder))
+        learning.check(folder, VARIANTS[name], seed)
+        found.append(({"subject": name, "seed": seed}, policy))
+    return found
 
 
 def keep(policy: PolicySubject) -> list[dict[str, Any]]:
@@ -127,7 +145,7 @@ def main(config: SpeedsConfig) -> None:
         told = [subjects.resolve_policy(config.any_speed, f"{factor:.3g}x") for factor in COMMANDS]
         walkers += [({"subject": policy.name}, policy) for policy in told]
         origins[free.name] = free.provenance
-        walk = follow(free, profile(config.seed))
+        walk = follow(free, profile(config.profile_seed))
         rows += walk.rows(f"{config.any_speed} profile")
     for whose, walker in walkers:
         figures = keep(walker)

@@ -103,6 +103,11 @@ def walkers(folder: Path, measurement: str = "") -> list[tuple[str, list[Result]
     return _measured(folder, {w: f"{measurement}/{Path(p).name}" if measurement else p for w, p in WALKERS.items()})
 
 
+def all_speeds(folder: Path) -> list[tuple[str, list[Result]]]:
+    """The same of `ALL_SPEEDS`."""
+    return _measured(folder, ALL_SPEEDS)
+
+
 def _measured(folder: Path, patterns: Mapping[str, str]) -> list[tuple[str, list[Result]]]:
     found = [(walker, find(folder, pattern)) for walker, pattern in patterns.items()]
     return [(walker, results) for walker, results in found if results]
@@ -145,9 +150,8 @@ ROWS = (
     ),
 )
 
-ENGINES = ("native", "mjx")
-TIME = f"seconds_{ENGINES[0]}"
-RETURNS_ON = [(reward, engine) for reward in ("plain", "weighted") for engine in ENGINES]
+ENGINES = {"native": "MuJoCo C", "mjx": "MJX"}
+"""The engines' names in result files, and to readers."""
 
 PAPER_SPEEDS = dict.fromkeys(("0x", "2x", "3x"), "learned in 3 to 5 h") | {"4x": "learned, unstable in training"}
 PAPER_BLENDS = {"1x,2x schedule=ramp": "speeds up, slows down", "2x,3x schedule=ramp": "speeds up, slows down"}
@@ -174,6 +178,7 @@ def cell(row: Row, results: Sequence[Result]) -> str:
     if not values:
         return NO_FIGURE
     text = span(values, row.digits)
+    text += f" ({len(values)} of {len(results)} seeds)" if len(values) < len(results) else ""
     return f"{text}, the highest tried" if min(values) >= row.highest else text
 
 
@@ -186,29 +191,38 @@ def span(values: Sequence[float], digits: int) -> str:
 def beside_the_paper(folder: Path) -> Table:
     """The paper's experiments with one walker; those that nothing of ours has been through yet stand in the notes."""
     measured = walkers(folder)
-    header = ["MuJoCo C, 2 kHz", "paper: controller", "paper: policy"]
-    header += [f"`{walker}`{_seeds(results)}" for walker, results in measured]
-    rows, missing = [], [f"`{walker}`" for walker in WALKERS if walker not in dict(measured)]
-    for row in ROWS:
-        cells = [cell(row, found) for _, found in measured]
-        if set(cells) <= {NO_FIGURE}:
-            missing.append(row.experiment)
-        else:
-            rows.append((row.experiment, row.paper_controller, row.paper_policy, *cells, f"suite={row.suite}"))
+    header = ("MuJoCo C, 2 kHz", "paper: controller", "paper: policy", *_headings(measured), "command")
+    cells = _cells(measured)
+    missing = [f"`{walker}`" for walker in WALKERS if walker not in dict(measured)]
+    missing += [row.experiment for row in ROWS if row not in cells]
+    rows = [
+        (row.experiment, row.paper_controller, row.paper_policy, *values, f"suite={row.suite}")
+        for row, values in cells.items()
+    ]
     notes = ["By `python -m cassie_mjx.evaluate policy=NAME` with the row's argument. " + RETURNS + _best(measured)]
     notes += [f"Not measured yet: {'; '.join(missing)}."] if missing else []
-    return Table((*header, "command"), rows, [*notes, sources([r for _, found in measured for r in found])])
+    return Table(header, rows, [*notes, sources([r for _, found in measured for r in found])])
 
 
 def any_beside_single_speeds(folder: Path) -> Table | None:
     """The policy of all speeds beside those of one, in the paper's experiments; None before it has a result."""
-    measured = _measured(folder, ALL_SPEEDS)
+    measured = all_speeds(folder)
     if not any(walker.startswith("any") for walker, _ in measured):
         return None
-    header = ("MuJoCo C, 2 kHz", *(f"`{walker}`{_seeds(results)}" for walker, results in measured), "command")
-    lines = [(row, [cell(row, found) for _, found in measured]) for row in ROWS]
-    rows = [(row.experiment, *cells, f"suite={row.suite}") for row, cells in lines if set(cells) != {NO_FIGURE}]
-    return Table(header, rows, [sources([r for _, found in measured for r in found])])
+    rows = [(row.experiment, *values, f"suite={row.suite}") for row, values in _cells(measured).items()]
+    note = "By `python -m cassie_mjx.evaluate policy=NAME` with the row's argument and, for `any`, the column's."
+    header = ("MuJoCo C, 2 kHz", *_headings(measured), "command")
+    return Table(header, rows, [note, sources([r for _, found in measured for r in found])])
+
+
+def _cells(measured: Sequence[tuple[str, list[Result]]]) -> dict[Row, list[str]]:
+    """What each walker did in each of `ROWS` that any of them has been through."""
+    found = {row: [cell(row, results) for _, results in measured] for row in ROWS}
+    return {row: cells for row, cells in found.items() if set(cells) - {NO_FIGURE}}
+
+
+def _headings(measured: Sequence[tuple[str, list[Result]]]) -> list[str]:
+    return [f"`{walker}`{_seeds(results)}" for walker, results in measured]
 
 
 def _seeds(results: Sequence[Result]) -> str:
@@ -261,10 +275,14 @@ def _walks(result: Result) -> list[tuple[str, ...]]:
         starts = [r for r in result.content["rows"] if r["subject"] == subject and r.get("quantity") == "starts_up"]
         if told is not None and speeds and ups:
             paper = PAPER_SPEEDS.get(subject, NO_FIGURE)
-            ours = f"told {told:.2f} m/s: {span(speeds, 2)}, up {min(ups):g} of 10 s"
+            least = "at least " if len(ups) > 1 else ""
+            ours = f"told {told:.2f} m/s: {span(speeds, 2)}, up {least}{min(ups):g} of 10 s"
             plain = result.values("return_plain", subject)
             ours += f", return {span(plain, 1)} by the plain reward" if plain else ""
-            ours += f"; {len(speeds)} training seeds" if len(speeds) > 1 else ""
+            seeds = dict.fromkeys(
+                str(r["seed"]) for r in result.content["rows"] if r["subject"] == subject and "seed" in r
+            )
+            ours += f"; training seeds {', '.join(seeds)}" if seeds else ""
         elif starts:
             slow, fast = (result.value(f"{end}_speed_mps", subject) for end in ("lowest", "highest"))
             ours = f"{starts[0]['value']:g} of {starts[0]['n']} starts up"
@@ -288,7 +306,13 @@ def _kept(result: Result, subjects: Sequence[str]) -> str:
 
 def verdicts(result: Result) -> Table:
     """The same trials on both engines: how many have the same outcome."""
-    header = ("the same trials on both engines", "cells", "same verdict", "different at a limit", "elsewhere")
+    header = (
+        "the same trials on both engines",
+        "cells",
+        "same verdict",
+        "different at a limit of MuJoCo C",
+        "elsewhere",
+    )
     rows = [
         (
             row["kind"],
@@ -296,25 +320,33 @@ def verdicts(result: Result) -> Table:
             f"{row['same']} ({row['same_share']:.1%})",
             str(row["differ_at_border"]),
             str(row["differ_elsewhere"]),
-            " and ".join(f"{row[f'seconds_{engine}']:.0f} s" for engine in ENGINES) if TIME in row else NO_FIGURE,
+            *(f"{row[key]:.0f} s" if (key := f"seconds_{engine}") in row else NO_FIGURE for engine in ENGINES),
             result.provenance["command"],
         )
         for row in result.content["rows"]
     ]
-    return Table((*header, "MuJoCo C and MJX took", "command"), rows, [])
+    took = (f"{name}, with set-up and compilation" for name in ENGINES.values())
+    return Table((*header, *took, "command"), rows, [])
 
 
 def engines(result: Result) -> Table:
     """The returns of each policy on both engines."""
-    header = ("trained on", "physics in the test, Hz", *(f"{reward} return on {e}" for reward, e in RETURNS_ON))
-    found: dict[tuple[str, str], dict[tuple[str, str], float]] = {}
+    pairs = [(reward, engine) for reward in ("plain", "weighted") for engine in ENGINES]
+    found: dict[tuple[str, ...], dict[tuple[str, str], float]] = {}
     for row in result.content["rows"]:
-        origin = f"{row['trained_on']} at {row['trained_at_hz']} Hz, {row['samples']:,} samples"
+        origin = f"{ENGINES[row['trained_on']]} at {row['trained_at_hz']} Hz, {row['samples']:,} samples"
         returns = {(reward, row["walks_on"]): row[f"return_{reward}"] for reward in ("plain", "weighted")}
-        found.setdefault((origin, str(row["physics_hz"])), {}).update(returns)
-    command = result.provenance["command"]
-    rows = [(*key, *(f"{values[pair]:.1f}" for pair in RETURNS_ON), command) for key, values in found.items()]
-    return Table((*header, "command"), rows, [])
+        found.setdefault((row["policy"], origin, str(row["physics_hz"])), {}).update(returns)
+    rows = [
+        (
+            *key,
+            *(f"{values[pair]:.1f}" if pair in values else NO_FIGURE for pair in pairs),
+            result.provenance["command"],
+        )
+        for key, values in found.items()
+    ]
+    returned = (f"{reward} return on {ENGINES[engine]}" for reward, engine in pairs)
+    return Table(("policy", "trained on", "physics in the test, Hz", *returned, "command"), rows, [])
 
 
 def markdown(table: Table) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cassie_mjx import export, reference
-from experiments import interpolation, speeds
+from experiments import interpolation, learning, speeds
 from experiments.interpolation import InterpolationConfig, Ride, draw
 from experiments.speeds import SpeedsConfig, follow, profile
 
@@ -53,25 +53,45 @@ def test_the_file_says_which_policies_kept_their_speeds(tmp_path, monkeypatch):
     monkeypatch.setattr(speeds, "keep", lambda policy: [{"quantity": "speed_mps", "value": 1}])
     monkeypatch.setattr(speeds, "follow", lambda policy, factors: STOOD)
     monkeypatch.setattr(speeds, "COMMANDS", [0.5, 2.0])
-    speeds.main(SpeedsConfig(("1x",), free, seed=3, out=str(tmp_path / "a.json")))
+    speeds.main(SpeedsConfig(("1x",), free, profile_seed=3, out=str(tmp_path / "a.json")))
     content = json.loads((tmp_path / "a.json").read_text())
     walked = dict.fromkeys(row["subject"] for row in content["rows"])
     assert list(walked) == [f"{free} profile", "1x", f"{free} speed=0.5x", f"{free} speed=2x"]
     policy = export.NumpyPolicy.load(shipped)
     assert content["provenance"]["subject"] == {"1x": policy.provenance, free: policy.provenance}
-    assert content["provenance"]["seed"] == 3
+    assert content["provenance"]["profile_seed"] == 3
 
 
 def test_the_policies_of_training_runs_are_measured_under_name_and_seed(tmp_path, monkeypatch):
-    for run in ("1x-seed0", "1x-seed4"):
-        (tmp_path / run).mkdir()
-        shutil.copy(export.shipped_policies()["1x"], tmp_path / run / "best.npz")
+    for seed in (0, 4):
+        run = tmp_path / f"1x-seed{seed}"
+        run.mkdir()
+        shutil.copy(export.shipped_policies()["1x"], run / "best.npz")
+        held = learning.expected(learning.DEFAULT) | {"seed": seed}
+        (run / "config.json").write_text(json.dumps({"config": held}))
     monkeypatch.setattr(speeds, "keep", lambda policy: [{"quantity": "speed_mps", "value": 1}])
     config = SpeedsConfig(("1x",), None, str(tmp_path), (0, 4), out=str(tmp_path / "a.json"))
     speeds.main(config)
     content = json.loads((tmp_path / "a.json").read_text())
     assert [(row["subject"], row["seed"]) for row in content["rows"]] == [("1x", 0), ("1x", 4)]
     assert list(content["provenance"]["subject"]) == [f"{tmp_path}/1x-seed0", f"{tmp_path}/1x-seed4"]
+
+    (tmp_path / "1x-seed4" / "config.json").write_text(json.dumps({"config": held | {"walk.reward": "plain"}}))
+    with pytest.raises(ValueError, match="1x-seed4 was trained with walk.reward=plain, unlike 1x"):
+        speeds.main(config)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        ({"policies": ()}, "policies is empty"),
+        ({"runs": "runs", "training_seeds": ()}, "training_seeds is empty"),
+        ({"runs": "runs", "policies": ("1x", "5x")}, "policies=5x: runs has 1x, 0x, 2x, 3x, 4x"),
+    ],
+)
+def test_nothing_to_measure_is_said_at_once(arguments, why):
+    with pytest.raises(ValueError, match=why):
+        SpeedsConfig(**arguments)
 
 
 def test_the_file_says_which_policies_were_blended(tmp_path, monkeypatch):

@@ -104,13 +104,18 @@ too, and earns 0."""
 LEAD_M = 0.25
 
 
-class Start(NamedTuple):
+class StartOffset(NamedTuple):
     """How far off the reference motion robots begin."""
 
     velocity: Array
     """What the pelvis' velocity along x and y is on top of the reference's, [B, 2], m/s."""
     y: Array
     """How far to the left of the reference the pelvis is, [B], m."""
+
+    @classmethod
+    def none(cls, robots: int) -> "StartOffset":
+        """Robots [B] on the reference."""
+        return cls(np.zeros((robots, 2), np.float32), np.zeros(robots, np.float32))
 
 
 class _Judgement(NamedTuple):
@@ -165,29 +170,29 @@ class WalkEnv:
         self._start = jax.jit(self._start_states)
 
     def reset(self, key: jax.Array) -> WalkState:
-        """Robots near the reference motion: phase, speed, how far off it and disturbance are drawn at random."""
-        phase, speed, off = self._draw(key, self.robots)
+        """Robots near the reference motion: phase, speed, offset from it and disturbance are drawn at random."""
+        phase, speed, offset = self._draw(key, self.robots)
         disturbance = Disturbance.none(self.robots)
         if self.config.disturbance.active:
             disturbance_key = jax.random.fold_in(key, _DISTURBANCE_KEY)
             disturbance = draw(self.config.disturbance, disturbance_key, self.robots, self._physics_hz)
-        return self.reset_at(phase, disturbance, speed, off)
+        return self.reset_at(phase, disturbance, speed, offset)
 
     def reset_at(
-        self, phase: Array, disturbance: Disturbance, speed: Array | None = None, off: Start | None = None
+        self, phase: Array, disturbance: Disturbance, speed: Array | None = None, offset: StartOffset | None = None
     ) -> WalkState:
-        """Robots on the reference motion or a little `off`, under `disturbance`; on terrain above a crest.
+        """Robots on the reference motion or a little off it, under `disturbance`; on terrain above a crest.
 
         Args:
           phase: samples of the stride, [B].
           disturbance: what acts on them from now on.
           speed: factors on the motion's speed, [B]; evenly from the lowest to the highest unless given.
-          off: how far off the reference they begin; not at all unless given.
+          offset: from the reference; none unless given.
         """
         speed = np.linspace(*self.speeds, len(phase)) if speed is None else speed
-        off = Start(np.zeros((len(phase), 2), np.float32), np.zeros(len(phase), np.float32)) if off is None else off
+        offset = StartOffset.none(len(phase)) if offset is None else offset
         phase, speed = jnp.asarray(phase, jnp.int32), jnp.asarray(speed, jnp.float32)
-        clock, qpos, qvel, seen = self._start(phase, speed, off, disturbance.terrain)
+        clock, qpos, qvel, seen = self._start(phase, speed, offset, disturbance.terrain)
         physics = self.physics.init(qpos, qvel)
         disturbance = _beside(physics, disturbance)
         zeros = jnp.zeros(len(phase))
@@ -223,8 +228,8 @@ class WalkEnv:
         reference, _ = clocks.reference(self.motion, clock, ahead=1)
         return reference[:, robot.ACTIVE_QPOS] + action
 
-    def _draw(self, key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array, Start]:
-        """Phase [robots], speed [robots] and how far off the reference new episodes begin.
+    def _draw(self, key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array, StartOffset]:
+        """Phase [robots], speed [robots] and offset from the reference of new episodes.
 
         `robots` is a device's share of the B robots if there are several.
         """
@@ -235,17 +240,17 @@ class WalkEnv:
         angle = jax.random.uniform(angle_key, (robots,), maxval=2 * jnp.pi)
         limit = self.config.start_offset_m
         y = jax.random.uniform(jax.random.fold_in(key, _OFFSET_KEY), (robots,), minval=-limit, maxval=limit)
-        return phase, speed, Start(size * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1), y)
+        return phase, speed, StartOffset(size * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1), y)
 
     def _observe(self, clock: Clock, qpos: jax.Array, qvel: jax.Array) -> jax.Array:
         return observation.build(qpos, qvel, *clocks.reference(self.motion, clock, ahead=1))
 
     def _start_states(
-        self, phase: jax.Array, speed: jax.Array, off: Start, terrain: jax.Array
+        self, phase: jax.Array, speed: jax.Array, offset: StartOffset, terrain: jax.Array
     ) -> tuple[Clock, jax.Array, jax.Array, jax.Array]:
         clock = clocks.start(self.motion, phase, speed, terrain)
         qpos, qvel = clocks.reference(self.motion, clock)
-        qpos, qvel = qpos.at[:, 1].add(off.y).at[:, 2].add(terrain), qvel.at[:, :2].add(off.velocity)
+        qpos, qvel = qpos.at[:, 1].add(offset.y).at[:, 2].add(terrain), qvel.at[:, :2].add(offset.velocity)
         return clock, qpos, qvel, self._observe(clock, qpos, qvel)
 
     def _judge_step(
@@ -284,11 +289,11 @@ class WalkEnv:
         causes = dict(zip(ENDS, (nan, fallen, low, left), strict=True))
         disturbance = self._renew(disturbance, clock, ended, key)
         clock = self._command(clock, key)
-        phase, speed, off = self._draw(key, len(nan))
+        phase, speed, offset = self._draw(key, len(nan))
         # Where speeds are commanded on the way, episodes go on at that of the last: so how long a speed is walked does
         # not depend on how early its episodes end.
         speed = speed if self._command_s is None else clock.speed
-        fresh = self._start_states(phase, speed, off, disturbance.terrain)
+        fresh = self._start_states(phase, speed, offset, disturbance.terrain)
         fresh_clock, fresh_qpos, fresh_qvel, fresh_seen = fresh
         if self._command_s is not None:
             fresh_clock = replace(fresh_clock, command=clock.command)
