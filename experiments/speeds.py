@@ -59,9 +59,7 @@ class SpeedsConfig:
             raise ValueError("policies is empty; name at least one, such as policies=2x.")
         unknown = [name for name in self.policies if self.runs and name not in VARIANTS]
         if unknown:
-            raise ValueError(
-                f"policies={','.join(unknown)}: runs has {', '.join(VARIANTS)}; name some of them."
-            )
+            raise ValueError(f"policies={','.join(unknown)}: runs has {', '.join(VARIANTS)}; name some of them.")
         if self.runs and not self.training_seeds:
             raise ValueError("training_seeds is empty; name at least one, such as training_seeds=0.")
 

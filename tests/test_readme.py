@@ -70,6 +70,19 @@ def learned_from_the_plain_reward():
     yield f"{fast['mean'] / 1e3:.0f} thousand. Near"
 
 
+def learned_at_1_khz():
+    """What physics at 1 kHz in training comes to, in samples and in time."""
+    runs = json.loads((ROOT / "experiments" / "results" / "rate.json").read_text())["runs"]
+    curves = [zip(run["curve"]["return_weighted"], run["curve"]["train_s"], strict=True) for run in runs]
+    after = [max(weighted for weighted, train_s in curve if train_s <= 500) for curve in curves]
+    *slow, fine = zip(runs, after, strict=True)
+    assert fine[0]["variant"] == "1x-1000hz"
+    yield f"250 weighted after {fine[0]['samples_to_250_weighted'] / 1e3:.0f} thousand, at best"
+    yield f"{fine[0]['best_return_plain']:.1f} plain and {fine[0]['best_return_weighted']:.1f} weighted. But"
+    yield f"it is at {fine[1]:.0f} weighted, where three"
+    yield f"at 500 Hz are at {min(found for _, found in slow):.0f} to {max(found for _, found in slow):.0f} (each"
+
+
 def tuned():
     """What the tuner found, beside the presets."""
     for preset in ("compliant", "stiff"):
@@ -95,7 +108,9 @@ def test_what_a_page_links_to_exists(page):
     assert [target for target in targets if not (ROOT / page).parent.joinpath(target).exists()] == []
 
 
-@pytest.mark.parametrize("piece", [*quoted(), *learned(), *learned_from_the_plain_reward(), *tuned()])
+@pytest.mark.parametrize(
+    "piece", [*quoted(), *learned(), *learned_from_the_plain_reward(), *learned_at_1_khz(), *tuned()]
+)
 def test_what_the_readme_quotes_is_what_was_measured(piece):
     assert piece in TEXT
 
