@@ -83,6 +83,14 @@ def learned_at_1_khz():
     yield f"at 500 Hz are at {min(found for _, found in slow):.0f} to {max(found for _, found in slow):.0f} (each"
 
 
+def verdicts():
+    """On how many trials the engines agree."""
+    (everything,) = rows("verdicts", kind="all")
+    assert everything["differ_elsewhere"] == 0
+    yield f"Of {everything['cells']} trials of 1x chosen"
+    yield f"{everything['same']} end alike on both engines, and the other {everything['differ_at_border']} are at a limit"
+
+
 def tuned():
     """What the tuner found, beside the presets."""
     for preset in ("compliant", "stiff"):
