@@ -88,7 +88,7 @@ def verdicts():
     (everything,) = rows("verdicts", kind="all")
     assert everything["differ_elsewhere"] == 0
     yield f"Of {everything['cells']} trials of 1x chosen"
-    yield f"{everything['same']} end alike on both engines, and the other {everything['differ_at_border']} are at a limit"
+    yield f"{everything['same']} end alike on both engines, and the other {everything['differ_at_border']} are at a"
 
 
 def tuned():
