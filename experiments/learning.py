@@ -22,7 +22,7 @@ from rich.table import Table
 from cassie_mjx import checkpoint, cli
 from cassie_mjx.config import PPO_PRESETS
 from cassie_mjx.envs.disturbance import DisturbanceConfig
-from cassie_mjx.envs.walk import WalkConfig
+from cassie_mjx.envs.walk import WALK_PRESETS, WalkConfig
 from cassie_mjx.run_directory import comparable
 from cassie_mjx.training import TrainConfig
 from experiments import plots
@@ -53,13 +53,12 @@ class Variant:
     name: str
     """Its runs are the directories <name>-seed<seed>, in whatever study."""
     settings: Mapping[str, str]
-    """Key to value of the arguments of `python -m cassie_mjx.train`."""
+    """Key to value of the arguments of `python -m cassie_mjx.train`; `{seed}` stands for the seed of the run."""
     seeds: tuple[int, ...] = (0, 1, 2)
 
-    @property
-    def overrides(self) -> list[str]:
-        """The settings as arguments."""
-        return [f"{key}={value}" for key, value in self.settings.items()]
+    def of(self, seed: int) -> dict[str, str]:
+        """The settings of one run, its seed among them."""
+        return {key: value.replace("{seed}", str(seed)) for key, value in self.settings.items()} | {"seed": str(seed)}
 
 
 ACTOR, CRITIC = "ppo.actor_learning_rate", "ppo.critic_learning_rate"
@@ -74,6 +73,8 @@ PAPER = {
 }
 DEFAULT = Variant("1x", {})
 OTHER_SPEEDS = tuple(Variant(speed, {"speed": speed, "init": "1x"}) for speed in ("0x", "2x", "3x", "4x"))
+
+ROBUST = {"walk": "robust", "ppo.final_action_std": "0.05"}
 
 LATER = {"init": None, "ppo.privileged_critic": False, "ppo.final_action_std": None}
 LATER |= {"walk.x_limit_m": None, "walk.damping": 1.0, "walk.start_velocity_mps": 0, "walk.start_offset_m": 0}
@@ -91,7 +92,11 @@ STUDIES = {
         *OTHER_SPEEDS,
         # From scratch: the input statistics of 1x would clip a reference velocity beyond 1.3 m/s.
         Variant("any", {"speed": "any", "ppo.iterations": "600"}),
-        Variant("any-on", {"speed": "any", "init": "runs/studies/any-seed0"}, (0,)),
+        Variant("any-on", {"speed": "any", "init": "runs/studies/any-seed{seed}"}, (0,)),
+    ),
+    "robust": (
+        Variant("1x-robust", ROBUST | {"init": "1x", "ppo.iterations": "600"}, (0,)),
+        Variant("1x-robust-on", ROBUST | {"init": "runs/studies/1x-robust-seed{seed}", "ppo.action_std": "0.05"}, (0,)),
     ),
     "warm_start": (OTHER_SPEEDS[-1], Variant("4x-from-scratch", {"speed": "4x"})),
     # What the paper prints, a tenth of its step sizes, and readings that differ from the printed one in a single point.
@@ -136,7 +141,8 @@ def train(folder: Path, variant: Variant, seed: int) -> None:
     """
     if _is_finished(folder):
         return
-    arguments = [*variant.overrides, f"seed={seed}", f"run_dir={folder}", "resume=true"]
+    settings = variant.of(seed) | {"run_dir": str(folder), "resume": "true"}
+    arguments = [f"{key}={value}" for key, value in settings.items()]
     status = subprocess.run([sys.executable, "-m", "cassie_mjx.train", *arguments], check=False).returncode
     if status:
         raise ValueError(f"Training in {folder} ended with status {status}; the same command goes on from there.")
@@ -149,7 +155,7 @@ def check(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
       ValueError: it was trained with other settings than the variant's, in whatever point.
     """
     held = json.loads((folder / "config.json").read_text())
-    wanted = expected(variant) | {"seed": seed}
+    wanted = expected(variant, seed)
     found = LATER | held["config"]
     wrong = [f"{key}={found.get(key)}" for key, value in wanted.items() if found.get(key) != value]
     if wrong:
@@ -178,16 +184,13 @@ def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
     }
 
 
-def expected(variant: Variant) -> dict[str, Any]:
-    """The configuration of a variant's runs, flat, as their config.json has it; seed and engine apart."""
-    chosen = {
-        key: OmegaConf.select(OmegaConf.from_dotlist([f"{key}={value}"]), key)
-        for key, value in variant.settings.items()
-        if key != "ppo"
-    }
-    default = TrainConfig(ppo=PPO_PRESETS[variant.settings.get("ppo", "parallel")])
-    apart = ("seed", "physics", "physics_hz")
-    values = {key: value for key, value in comparable(asdict(default)).items() if key not in apart}
+def expected(variant: Variant, seed: int) -> dict[str, Any]:
+    """The configuration of a variant's run, flat, as its config.json has it; the engine apart."""
+    settings = variant.of(seed)
+    ppo, walk = (settings.pop(name, preset) for name, preset in (("ppo", "parallel"), ("walk", "undisturbed")))
+    default = comparable(asdict(TrainConfig(ppo=PPO_PRESETS[ppo], walk=WALK_PRESETS[walk])))
+    chosen = {key: OmegaConf.select(OmegaConf.from_dotlist([f"{key}={value}"]), key) for key, value in settings.items()}
+    values = {key: value for key, value in default.items() if key not in ("physics", "physics_hz")}
     return json.loads(json.dumps(values | chosen))
 
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from cassie_mjx.envs.walk import WALK_PRESETS
 from cassie_mjx.run_directory import comparable
 from cassie_mjx.training import TrainConfig
 from experiments import learning
@@ -23,7 +24,7 @@ def fake_training(monkeypatch, status=0, changed=None):
         values = dict(argument.split("=") for argument in command[3:])
         folder = learning.Path(values["run_dir"])
         (folder / "checkpoints" / "step_000300").mkdir(parents=True)
-        held = {"config": {"physics_hz": 500, "seed": int(values["seed"]), **expected(TWO_SEEDS), **(changed or {})}}
+        held = {"config": {"physics_hz": 500, **expected(TWO_SEEDS, int(values["seed"])), **(changed or {})}}
         (folder / "config.json").write_text(json.dumps(held | {"provenance": {"commit": "abc"}}))
         rows = [dict.fromkeys(learning.COLUMNS.values(), 3000.0 * k) for k in (1, 2)]
         for k, row in enumerate(rows):
@@ -45,7 +46,11 @@ def test_a_study_trains_each_seed_once_and_reports_it(monkeypatch, tmp_path):
     calls = fake_training(monkeypatch)
     result = study(tmp_path)
     assert [call[3:] for call in calls] == [
-        [*TWO_SEEDS.overrides, f"seed={k}", f"run_dir={tmp_path}/runs/tenth-seed{k}", "resume=true"] for k in (0, 1)
+        [
+            *(f"{key}={value}" for key, value in TWO_SEEDS.settings.items()),
+            *(f"seed={k}", f"run_dir={tmp_path}/runs/tenth-seed{k}", "resume=true"),
+        ]
+        for k in (0, 1)
     ]
     assert [run["samples_to_250_plain"] for run in result["runs"]] == [None, 6000]
     assert result["provenance"]["commits_of_the_runs"] == ["abc"]
@@ -72,7 +77,7 @@ def test_a_run_made_before_a_setting_existed_is_one_without_it(monkeypatch, tmp_
     study(tmp_path)
     path = tmp_path / "runs" / "tenth-seed1" / "config.json"
     held = json.loads(path.read_text())
-    without = expected(TWO_SEEDS)[key] == LATER[key]
+    without = expected(TWO_SEEDS, 1)[key] == LATER[key]
     del held["config"][key]
     path.write_text(json.dumps(held))
     if without:
@@ -105,16 +110,24 @@ def test_what_is_never_reached_has_no_mean():
 def test_studies_fix_settings_that_exist_and_share_runs_by_name():
     seen = {}
     for variant in (variant for variants in STUDIES.values() for variant in variants):
-        assert expected(variant).keys() <= comparable(asdict(TrainConfig())).keys()
+        assert expected(variant, 0).keys() <= comparable(asdict(TrainConfig())).keys()
         assert seen.setdefault(variant.name, variant.settings) == variant.settings
 
 
 def test_overrides_read_as_a_run_records_them():
-    wanted = expected(TWO_SEEDS)
+    wanted = expected(TWO_SEEDS, 1)
+    assert wanted["seed"] == 1
     assert wanted["ppo.critic_learning_rate"] == 1e-2
     assert wanted["ppo.actor_learning_rate"] == 1e-4
     assert wanted["walk.early_end_reward"] is None
     assert wanted["ppo.hidden_sizes"] == [256, 256]
+
+
+def test_a_run_can_go_on_from_the_one_of_its_seed_in_a_task_of_its_own():
+    on = Variant("on", {"walk": "robust", "init": "runs/first-seed{seed}", "walk.damping": "0.5"})
+    wanted = expected(on, 2)
+    assert (wanted["init"], wanted["seed"], wanted["walk.damping"]) == ("runs/first-seed2", 2, 0.5)
+    assert wanted["walk.disturbance.push_n"] == WALK_PRESETS["robust"].disturbance.push_n > 0
 
 
 def test_an_unknown_study_is_refused():

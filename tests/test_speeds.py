@@ -67,7 +67,7 @@ def test_the_policies_of_training_runs_are_measured_under_name_and_seed(tmp_path
         run = tmp_path / f"1x-seed{seed}"
         run.mkdir()
         shutil.copy(export.shipped_policies()["1x"], run / "best.npz")
-        held = learning.expected(learning.DEFAULT) | {"seed": seed}
+        held = learning.expected(learning.DEFAULT, seed)
         (run / "config.json").write_text(json.dumps({"config": held}))
     monkeypatch.setattr(speeds, "keep", lambda policy: [{"quantity": "speed_mps", "value": 1}])
     config = SpeedsConfig(("1x",), None, str(tmp_path), (0, 4), out=str(tmp_path / "a.json"))
