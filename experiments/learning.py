@@ -20,10 +20,10 @@ from rich.console import Console
 from rich.table import Table
 
 from cassie_mjx import checkpoint, cli
-from cassie_mjx.config import PPO_PRESETS
 from cassie_mjx.envs.disturbance import DisturbanceConfig
-from cassie_mjx.envs.walk import WALK_PRESETS, WalkConfig
+from cassie_mjx.envs.walk import WalkConfig
 from cassie_mjx.run_directory import comparable
+from cassie_mjx.train import PRESETS
 from cassie_mjx.training import TrainConfig
 from experiments import plots
 
@@ -187,8 +187,8 @@ def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
 def expected(variant: Variant, seed: int) -> dict[str, Any]:
     """The configuration of a variant's run, flat, as its config.json has it; the engine apart."""
     settings = variant.of(seed)
-    ppo, walk = (settings.pop(name, preset) for name, preset in (("ppo", "parallel"), ("walk", "undisturbed")))
-    default = comparable(asdict(TrainConfig(ppo=PPO_PRESETS[ppo], walk=WALK_PRESETS[walk])))
+    presets = {key: known[settings.pop(key, preset)] for key, (preset, known) in PRESETS.items()}
+    default = comparable(asdict(TrainConfig(**presets)))
     chosen = {key: OmegaConf.select(OmegaConf.from_dotlist([f"{key}={value}"]), key) for key, value in settings.items()}
     values = {key: value for key, value in default.items() if key not in ("physics", "physics_hz")}
     return json.loads(json.dumps(values | chosen))

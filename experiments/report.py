@@ -22,7 +22,7 @@ STUDIES = {
     "walking": "Learning to walk",
     "starts": "Starting up to 0.5 m/s off the reference's velocity, and at it",
     "reward": "Learning from the weighted reward, and from the plain one",
-    "rate": "Learning with physics at 500 Hz, and (one seed) at 1 kHz",
+    "rate": "Learning with physics at 500 Hz, and at 1 kHz",
     "learning_speeds": "Learning other speeds from the 1x policy, and all of them from scratch",
     "robust": "Learning under pushes, terrain and delay, and going on with less noise",
     "warm_start": "Learning 4x from the 1x policy, and from scratch",

@@ -68,7 +68,7 @@ def single_speeds(config: SpeedsConfig) -> list[tuple[dict[str, Any], PolicySubj
     """The policies of one speed each, with what their rows say of them: whose figures they are.
 
     Raises:
-      ValueError: one of them is not there.
+      ValueError: one of them is not there, or its run was trained otherwise than the study trains it.
     """
     if not config.runs:
         return [({"subject": name}, subjects.resolve_policy(name)) for name in config.policies]

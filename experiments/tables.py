@@ -272,16 +272,15 @@ def _walks(result: Result) -> list[tuple[str, ...]]:
         paper = PAPER_BLENDS.get(subject.removeprefix("blend:"), NO_FIGURE)
         told, h = (result.value(quantity, subject) for quantity in ("commanded_mps", "terrain_h_m"))
         speeds, ups = (result.values(quantity, subject) for quantity in ("speed_mps", "survived_s"))
-        starts = [r for r in result.content["rows"] if r["subject"] == subject and r.get("quantity") == "starts_up"]
+        own = [row for row in result.content["rows"] if row["subject"] == subject]
+        starts = [row for row in own if row.get("quantity") == "starts_up"]
         if told is not None and speeds and ups:
             paper = PAPER_SPEEDS.get(subject, NO_FIGURE)
             least = "at least " if len(ups) > 1 else ""
             ours = f"told {told:.2f} m/s: {span(speeds, 2)}, up {least}{min(ups):g} of 10 s"
             plain = result.values("return_plain", subject)
             ours += f", return {span(plain, 1)} by the plain reward" if plain else ""
-            seeds = dict.fromkeys(
-                str(r["seed"]) for r in result.content["rows"] if r["subject"] == subject and "seed" in r
-            )
+            seeds = dict.fromkeys(str(row["seed"]) for row in own if "seed" in row)
             ours += f"; training seeds {', '.join(seeds)}" if seeds else ""
         elif starts:
             slow, fast = (result.value(f"{end}_speed_mps", subject) for end in ("lowest", "highest"))
