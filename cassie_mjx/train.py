@@ -18,18 +18,14 @@ import mujoco
 from rich.console import Console
 
 from cassie_mjx import checkpoint, cli, devices, diagnosis, hydra_cli, reference, run_directory
-from cassie_mjx.config import PPO_PRESETS, speed_factors
-from cassie_mjx.envs.walk import WALK_PRESETS
+from cassie_mjx.config import speed_factors
 from cassie_mjx.export import save_policy
 from cassie_mjx.metrics import JsonLines, TensorBoard, Terminal
 from cassie_mjx.model import ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.ppo import networks
 from cassie_mjx.returns import referee, walk_returns
-from cassie_mjx.training import IterationMetrics, RunState, TrainConfig, Trainer, initial_policy, resolve
-
-PRESETS = {"walk": ("undisturbed", WALK_PRESETS), "ppo": ("parallel", PPO_PRESETS)}
-"""Presets that a command line can choose from, and which is the default."""
+from cassie_mjx.training import PRESETS, IterationMetrics, RunState, TrainConfig, Trainer, initial_policy, resolve
 
 
 @dataclass

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 
 from cassie_mjx import devices, diagnosis, export, robot
-from cassie_mjx.config import PPOConfig, speed_factors
+from cassie_mjx.config import PPO_PRESETS, PPOConfig, speed_factors
 from cassie_mjx.envs import observation
-from cassie_mjx.envs.walk import ENDS, WalkConfig, WalkEnv
+from cassie_mjx.envs.walk import ENDS, WALK_PRESETS, WalkConfig, WalkEnv
 from cassie_mjx.export import NumpyPolicy
 from cassie_mjx.metrics import Stopwatch
 from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx, steps_per_control
@@ -23,6 +23,9 @@ from cassie_mjx.reference import ReferenceMotion
 
 # Rates that training is stable and fast at, Hz; every return is measured at 2 kHz.
 TRAINING_HZ = {"native": 500, "mjx": 1000}
+
+PRESETS = {"walk": ("undisturbed", WALK_PRESETS), "ppo": ("parallel", PPO_PRESETS)}
+"""Presets that a command line can choose from, and which is the default."""
 
 
 @dataclass(frozen=True)

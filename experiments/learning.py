@@ -23,8 +23,7 @@ from cassie_mjx import checkpoint, cli
 from cassie_mjx.envs.disturbance import DisturbanceConfig
 from cassie_mjx.envs.walk import WalkConfig
 from cassie_mjx.run_directory import comparable
-from cassie_mjx.train import PRESETS
-from cassie_mjx.training import TrainConfig
+from cassie_mjx.training import PRESETS, TrainConfig
 from experiments import plots
 
 # The return that the paper reports.

@@ -22,8 +22,8 @@ from cassie_mjx.export import NumpyPolicy
 from cassie_mjx.metrics import Terminal
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.reference import resolve as resolve_motion
-from cassie_mjx.train import PRESETS, Session, TrainConfig
-from cassie_mjx.training import Trainer, resolve
+from cassie_mjx.train import Session, TrainConfig
+from cassie_mjx.training import PRESETS, Trainer, resolve
 
 TINY = PPOConfig(
     num_robots=4,
