@@ -1,9 +1,10 @@
 """Learning curves over seeds: `python -m experiments.learning study=walking out=FILE.json`.
 
-A study trains each of its variants once a seed, one run after another, by `python -m cassie_mjx.train`, and then reads
-what the runs wrote. Runs that are finished are not repeated and one that was interrupted goes on, so the same command
-completes a study that was stopped; studies that share a variant share its runs. Returns do not depend on what else the
-machine does, seconds do: compare those only if it was quiet. With `plot=FILE.png` the plain return is drawn.
+A study trains each of its variants once a seed, one run after another, by `python -m cassie_mjx.train` on MuJoCo C, and
+then reads what the runs wrote. Runs that are finished are not repeated and one that was interrupted goes on, so the
+same command completes a study that was stopped; studies that share a variant share its runs. Returns do not depend on
+what else the machine does, seconds do: compare those only if it was quiet. With `plot=FILE.png` the plain return is
+drawn.
 """
 
 import json
@@ -37,12 +38,13 @@ COLUMNS = {
     "return_weighted": "eval/return_weighted",
     "steps": "eval/steps",
     "nan": "train/nan",
+    "low_reward": "train/low_reward",
     "kl": "learner/kl",
     "clip_fraction": "learner/clip_fraction",
     "explained_variance": "learner/explained_variance",
     "actor_learning_rate": "learner/actor_learning_rate",
 }
-"""Columns of a curve, one entry an evaluation, and where the metrics have them."""
+"""Columns of a curve, one entry an evaluation, and where the metrics have them, if they do."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +54,18 @@ class Variant:
     name: str
     """Its runs are the directories <name>-seed<seed>, in whatever study."""
     settings: Mapping[str, str]
-    """Key to value of the arguments of `python -m cassie_mjx.train`; `{seed}` stands for the seed of the run."""
+    """Key to value of the arguments of `python -m cassie_mjx.train` besides `ENGINE`; `{runs}` stands for the folder of
+    the runs and `{seed}` for the seed."""
     seeds: tuple[int, ...] = (0, 1, 2)
 
-    def of(self, seed: int) -> dict[str, str]:
-        """The settings of one run, its seed among them."""
-        return {key: value.replace("{seed}", str(seed)) for key, value in self.settings.items()} | {"seed": str(seed)}
+    def of(self, seed: int, runs: Path) -> dict[str, str]:
+        """The settings of one run in the folder `runs`."""
+        chosen = {key: value.format(runs=runs, seed=seed) for key, value in self.settings.items()}
+        return ENGINE | chosen | {"seed": str(seed)}
 
+
+ENGINE = {"physics": "native", "physics_hz": "500"}
+"""What every run is trained on unless its variant says otherwise, so that what is compared differs in nothing else."""
 
 ACTOR, CRITIC = "ppo.actor_learning_rate", "ppo.critic_learning_rate"
 PAPER = {
@@ -84,18 +91,20 @@ LATER |= {f"walk.disturbance.{name}": value for name, value in vars(DisturbanceC
 
 STUDIES = {
     "walking": (replace(DEFAULT, seeds=(0, 1, 2, 3, 4)),),
+    # `make train` on a quiet machine, and runs=runs: seconds that can be compared with those of other machines.
+    "make_train": (replace(DEFAULT, seeds=(0,)),),
     "starts": (DEFAULT, Variant("1x-exact-starts", {"walk.start_velocity_mps": "0"})),
     "reward": (DEFAULT, Variant("1x-plain", {"walk.reward": "plain"})),
     "rate": (DEFAULT, Variant("1x-1000hz", {"physics_hz": "1000"}, (0,))),
     "learning_speeds": (
         *OTHER_SPEEDS,
         # From scratch: the input statistics of 1x would clip a reference velocity beyond 1.3 m/s.
-        Variant("any", {"speed": "any", "ppo.iterations": "600"}),
-        Variant("any-on", {"speed": "any", "init": "runs/studies/any-seed{seed}"}, (0,)),
+        Variant("any-first", {"speed": "any", "ppo.iterations": "600"}),
+        Variant("any", {"speed": "any", "init": "{runs}/any-first-seed{seed}"}, (0,)),
     ),
     "robust": (
-        Variant("1x-robust", ROBUST | {"init": "1x", "ppo.iterations": "600"}, (0,)),
-        Variant("1x-robust-on", ROBUST | {"init": "runs/studies/1x-robust-seed{seed}", "ppo.action_std": "0.05"}, (0,)),
+        Variant("1x-robust-first", ROBUST | {"init": "1x", "ppo.iterations": "600"}, (0,)),
+        Variant("1x-robust", ROBUST | {"init": "{runs}/1x-robust-first-seed{seed}", "ppo.action_std": "0.05"}, (0,)),
     ),
     "warm_start": (OTHER_SPEEDS[-1], Variant("4x-from-scratch", {"speed": "4x"})),
     # What the paper prints, a tenth of its step sizes, and readings that differ from the printed one in a single point.
@@ -132,15 +141,24 @@ class LearningConfig:
             raise ValueError(f"study={self.study!r} is not known; choose one of {', '.join(STUDIES)}.")
 
 
+def is_finished(folder: Path) -> bool:
+    """Whether the run directory holds the last checkpoint of its training."""
+    last = checkpoint.latest(folder / "checkpoints")
+    if last is None:
+        return False
+    iterations = json.loads((folder / "config.json").read_text())["config"]["ppo.iterations"]
+    return checkpoint.iteration_of(last) == iterations
+
+
 def train(folder: Path, variant: Variant, seed: int) -> None:
     """Train one run to its end; nothing happens if it is there already.
 
     Raises:
       ValueError: training ended with an error or a signal.
     """
-    if _is_finished(folder):
+    if is_finished(folder):
         return
-    settings = variant.of(seed) | {"run_dir": str(folder), "resume": "true"}
+    settings = variant.of(seed, folder.parent) | {"run_dir": str(folder), "resume": "true"}
     arguments = [f"{key}={value}" for key, value in settings.items()]
     status = subprocess.run([sys.executable, "-m", "cassie_mjx.train", *arguments], check=False).returncode
     if status:
@@ -151,10 +169,12 @@ def check(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
     """What a run's config.json holds: its configuration and provenance.
 
     Raises:
-      ValueError: it was trained with other settings than the variant's, in whatever point.
+      ValueError: it was trained with other settings than the variant's, in whatever point, or is not finished.
     """
+    if not is_finished(folder):
+        raise ValueError(f"{folder} holds no finished training; `python -m experiments.learning` goes on with it.")
     held = json.loads((folder / "config.json").read_text())
-    wanted = expected(variant, seed)
+    wanted = expected(variant, seed, folder.parent)
     found = LATER | held["config"]
     wrong = [f"{key}={found.get(key)}" for key, value in wanted.items() if found.get(key) != value]
     if wrong:
@@ -163,18 +183,27 @@ def check(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
 
 
 def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
-    """What a finished run did: its configuration, curve, best returns, and samples and minutes to the goal.
+    """What a finished run did: its configuration, curve, returns, and samples and seconds to the goal.
+
+    The returns are those of the policy that training keeps: the best by the reward that it learned from or, under
+    disturbances, the last.
 
     Raises:
-      ValueError: it was trained with other settings than the variant's, in whatever point.
+      ValueError: it was trained with other settings than the variant's, in whatever point, or is not finished.
     """
     held = check(folder, variant, seed)
     lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
-    curve = {name: [_rounded(line[key]) for line in lines] for name, key in COLUMNS.items()}
+    curve = {name: [_rounded(line[key]) for line in lines] for name, key in COLUMNS.items() if key in lines[0]}
+    settings = expected(variant, seed, folder.parent)
+    learned_from = curve[f"return_{settings['walk.reward']}"]
+    disturbance = DisturbanceConfig(
+        **{name: settings[f"walk.disturbance.{name}"] for name in vars(DisturbanceConfig())}
+    )
+    kept = len(lines) - 1 if disturbance.active else learned_from.index(max(learned_from))
     return {
         "variant": variant.name,
         "seed": seed,
-        **{f"best_return_{reward}": max(curve[f"return_{reward}"]) for reward in REWARDS},
+        **{f"return_{reward}": curve[f"return_{reward}"][kept] for reward in REWARDS},
         **{f"samples_to_{GOAL}_{reward}": to_goal(curve, reward, "samples") for reward in REWARDS},
         **{f"train_s_to_{GOAL}_{reward}": to_goal(curve, reward, "train_s") for reward in REWARDS},
         "physics_hz": held["config"]["physics_hz"],
@@ -183,14 +212,13 @@ def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
     }
 
 
-def expected(variant: Variant, seed: int) -> dict[str, Any]:
-    """The configuration of a variant's run, flat, as its config.json has it; the engine apart."""
-    settings = variant.of(seed)
+def expected(variant: Variant, seed: int, runs: Path) -> dict[str, Any]:
+    """The configuration of a variant's run in the folder `runs`, flat, as its config.json has it."""
+    settings = variant.of(seed, runs)
     presets = {key: known[settings.pop(key, preset)] for key, (preset, known) in PRESETS.items()}
     default = comparable(asdict(TrainConfig(**presets)))
     chosen = {key: OmegaConf.select(OmegaConf.from_dotlist([f"{key}={value}"]), key) for key, value in settings.items()}
-    values = {key: value for key, value in default.items() if key not in ("physics", "physics_hz")}
-    return json.loads(json.dumps(values | chosen))
+    return json.loads(json.dumps(default | chosen))
 
 
 def to_goal(curve: dict[str, list[float]], reward: str, quantity: str) -> float | None:
@@ -203,7 +231,7 @@ def to_goal(curve: dict[str, list[float]], reward: str, quantity: str) -> float 
 def summarize(variant: Variant, runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Mean and spread over the seeds of a variant; `n` of its `runs` have a value: reached the goal."""
     quantities = [
-        *((f"best_return_{reward}", "of 300") for reward in REWARDS),
+        *((f"return_{reward}", "of 300") for reward in REWARDS),
         *((f"samples_to_{GOAL}_{reward}", "samples") for reward in REWARDS),
         *((f"train_s_to_{GOAL}_{reward}", "s") for reward in REWARDS),
     ]
@@ -223,16 +251,16 @@ def summarize(variant: Variant, runs: Sequence[dict[str, Any]]) -> list[dict[str
 
 def table(title: str, rows: Sequence[dict[str, Any]]) -> Table:
     """The summary for reading: mean (least–greatest) over the seeds."""
-    shown = Table("variant", "reward", "best return", f"k samples to {GOAL}", f"s to {GOAL}", "reached", title=title)
+    shown = Table("variant", "reward", "return", f"k samples to {GOAL}", f"s to {GOAL}", "reached", title=title)
     found = {(row["variant"], row["quantity"]): row for row in rows}
     for variant in dict.fromkeys(row["variant"] for row in rows):
         for reward in REWARDS:
-            best, samples, seconds = (
+            kept, samples, seconds = (
                 found[variant, f"{quantity}_{reward}"]
-                for quantity in ("best_return", f"samples_to_{GOAL}", f"train_s_to_{GOAL}")
+                for quantity in ("return", f"samples_to_{GOAL}", f"train_s_to_{GOAL}")
             )
             reached = f"{samples['n']} of {samples['runs']}"
-            shown.add_row(variant, reward, _span(best, 1, 1), _span(samples, 1000, 0), _span(seconds, 1, 0), reached)
+            shown.add_row(variant, reward, _span(kept, 1, 1), _span(samples, 1000, 0), _span(seconds, 1, 0), reached)
     return shown
 
 
@@ -266,14 +294,6 @@ def main(config: LearningConfig) -> None:
 
 def _rounded(value: float) -> float:
     return float(f"{value:.8g}")
-
-
-def _is_finished(folder: Path) -> bool:
-    last = checkpoint.latest(folder / "checkpoints")
-    if last is None:
-        return False
-    iterations = json.loads((folder / "config.json").read_text())["config"]["ppo.iterations"]
-    return checkpoint.iteration_of(last) == iterations
 
 
 if __name__ == "__main__":

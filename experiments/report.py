@@ -20,6 +20,7 @@ MARKERS = ("<!-- results, written by `make report` -->", "<!-- end of results --
 
 STUDIES = {
     "walking": "Learning to walk",
+    "make_train": "Learning to walk by `make train`, with nothing else on two cores",
     "starts": "Starting up to 0.5 m/s off the reference's velocity, and at it",
     "reward": "Learning from the weighted reward, and from the plain one",
     "rate": "Learning with physics at 500 Hz, and at 1 kHz",
@@ -207,8 +208,9 @@ def walked_twice(folder: Path) -> list[str]:
         (
             "verdicts",
             "The same trials on both engines",
-            "MuJoCo C and MJX at 2 kHz with the same contacts, from the same states. A verdict is whether a trial was "
-            "survived; it is at a limit if the next weaker or stronger disturbance has another.",
+            "MuJoCo C and MJX at 2 kHz with the same contacts, from the same states; on MJX, terrain is a tangent "
+            "plane under each leg. A verdict is whether a trial was survived; it is at a limit if the next weaker or "
+            "stronger disturbance has another.",
             tables.verdicts,
             "policy=1x",
         ),

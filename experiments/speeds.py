@@ -55,8 +55,8 @@ class SpeedsConfig:
 
     def __post_init__(self) -> None:
         """Raise ValueError if there is nothing to measure."""
-        if not self.policies:
-            raise ValueError("policies is empty; name at least one, such as policies=2x.")
+        if not self.policies and not self.any_speed:
+            raise ValueError("policies and any_speed are empty; name at least one, such as policies=2x.")
         unknown = [name for name in self.policies if self.runs and name not in VARIANTS]
         if unknown:
             raise ValueError(f"policies={','.join(unknown)}: runs has {', '.join(VARIANTS)}; name some of them.")
@@ -68,7 +68,7 @@ def single_speeds(config: SpeedsConfig) -> list[tuple[dict[str, Any], PolicySubj
     """The policies of one speed each, with what their rows say of them: whose figures they are.
 
     Raises:
-      ValueError: one of them is not there, or its run was trained otherwise than the study trains it.
+      ValueError: one of them is not there, or its run is unfinished or was trained otherwise than the study trains it.
     """
     if not config.runs:
         return [({"subject": name}, subjects.resolve_policy(name)) for name in config.policies]

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 PROVENANCE = ("command", "commit", "date", "hardware")
 NO_FIGURE = "–"
 WALK_S = 10.0
+EVALUATE = "`python -m cassie_mjx.evaluate policy=NAME`, or `policy=runs/studies/NAME-seed1` for seed 1,"
 RETURNS = "A controller imitates nothing, so it has no return."
 
 
@@ -199,7 +200,7 @@ def beside_the_paper(folder: Path) -> Table:
         (row.experiment, row.paper_controller, row.paper_policy, *values, f"suite={row.suite}")
         for row, values in cells.items()
     ]
-    notes = ["By `python -m cassie_mjx.evaluate policy=NAME` with the row's argument. " + RETURNS + _best(measured)]
+    notes = [f"By {EVALUATE} with the row's argument. {RETURNS}{_best(measured)}"]
     notes += [f"Not measured yet: {'; '.join(missing)}."] if missing else []
     return Table(header, rows, [*notes, sources([r for _, found in measured for r in found])])
 
@@ -210,7 +211,7 @@ def any_beside_single_speeds(folder: Path) -> Table | None:
     if not any(walker.startswith("any") for walker, _ in measured):
         return None
     rows = [(row.experiment, *values, f"suite={row.suite}") for row, values in _cells(measured).items()]
-    note = "By `python -m cassie_mjx.evaluate policy=NAME` with the row's argument and, for `any`, the column's."
+    note = f"By {EVALUATE} with the row's argument and, for `any`, the column's."
     header = ("MuJoCo C, 2 kHz", *_headings(measured), "command")
     return Table(header, rows, [note, sources([r for _, found in measured for r in found])])
 

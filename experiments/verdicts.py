@@ -1,8 +1,9 @@
 """The same trials of a policy on MJX and on MuJoCo C: `python -m experiments.verdicts policy=1x out=FILE.json`.
 
 A grid of 528 cells, chosen before any was walked: pushes, terrain and delays from harmless to hopeless. Both engines
-run at 2 kHz with the referee's contacts, from the same states; MJX in float32. A trial at the border, where a little
-more or less of the disturbance changes the outcome, may well end otherwise in other arithmetic; no other should.
+run at 2 kHz with the referee's contacts, from the same states; MJX in float32, and with a tangent plane under each leg
+where MuJoCo C has a height field. A trial at the border, where the next level of the disturbance changes the outcome,
+may well end otherwise; no other should.
 """
 
 import time

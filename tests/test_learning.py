@@ -24,11 +24,11 @@ def fake_training(monkeypatch, status=0, changed=None):
         values = dict(argument.split("=") for argument in command[3:])
         folder = learning.Path(values["run_dir"])
         (folder / "checkpoints" / "step_000300").mkdir(parents=True)
-        held = {"config": {"physics_hz": 500, **expected(TWO_SEEDS, int(values["seed"])), **(changed or {})}}
+        held = {"config": expected(TWO_SEEDS, int(values["seed"]), folder.parent) | (changed or {})}
         (folder / "config.json").write_text(json.dumps(held | {"provenance": {"commit": "abc"}}))
         rows = [dict.fromkeys(learning.COLUMNS.values(), 3000.0 * k) for k in (1, 2)]
         for k, row in enumerate(rows):
-            row["eval/return_plain"], row["eval/return_weighted"] = 200 + 100 * k * int(values["seed"]), 10
+            row["eval/return_plain"], row["eval/return_weighted"] = 200 + 100 * k * int(values["seed"]), 10 * k
         (folder / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
         return SimpleNamespace(returncode=status)
 
@@ -47,6 +47,7 @@ def test_a_study_trains_each_seed_once_and_reports_it(monkeypatch, tmp_path):
     result = study(tmp_path)
     assert [call[3:] for call in calls] == [
         [
+            *("physics=native", "physics_hz=500"),
             *(f"{key}={value}" for key, value in TWO_SEEDS.settings.items()),
             *(f"seed={k}", f"run_dir={tmp_path}/runs/tenth-seed{k}", "resume=true"),
         ]
@@ -54,21 +55,46 @@ def test_a_study_trains_each_seed_once_and_reports_it(monkeypatch, tmp_path):
     ]
     assert [run["samples_to_250_plain"] for run in result["runs"]] == [None, 6000]
     assert result["provenance"]["commits_of_the_runs"] == ["abc"]
-    best = result["rows"][0]
+    kept = result["rows"][0]
     # Best returns 200 and 300: mean 250, sample standard deviation 50 sqrt(2).
-    assert (best["quantity"], best["mean"], best["min"], best["max"]) == ("best_return_plain", 250, 200, 300)
-    assert best["sd"] == pytest.approx(50 * 2**0.5)
+    assert (kept["quantity"], kept["mean"], kept["min"], kept["max"]) == ("return_plain", 250, 200, 300)
+    assert kept["sd"] == pytest.approx(50 * 2**0.5)
     assert (tmp_path / "plot.png").stat().st_size > 1000
 
     study(tmp_path)
     assert len(calls) == 2, "finished runs are not repeated"
 
 
-def test_a_run_with_other_settings_is_not_reported(monkeypatch, tmp_path):
-    fake_training(monkeypatch, changed={"walk.early_end_reward": 0.6})
-    with pytest.raises(ValueError, match="was trained with walk.early_end_reward=0.6, unlike tenth"):
+@pytest.mark.parametrize(("key", "value"), [("walk.early_end_reward", 0.6), ("physics_hz", 1000), ("physics", "mjx")])
+def test_a_run_with_other_settings_is_not_reported(monkeypatch, tmp_path, key, value):
+    fake_training(monkeypatch, changed={key: value})
+    with pytest.raises(ValueError, match=f"was trained with {key}={value}, unlike tenth"):
         study(tmp_path)
     assert not (tmp_path / "out.json").exists()
+
+
+def test_a_run_that_is_not_finished_is_not_reported(monkeypatch, tmp_path):
+    fake_training(monkeypatch)
+    study(tmp_path)
+    checkpoints = tmp_path / "runs" / "tenth-seed1" / "checkpoints"
+    (checkpoints / "step_000300").rename(checkpoints / "step_000290")
+    with pytest.raises(ValueError, match="tenth-seed1 holds no finished training"):
+        learning.check(checkpoints.parent, TWO_SEEDS, 1)
+
+
+@pytest.mark.parametrize(("disturbed", "kept"), [({}, 290), ({"walk.disturbance.push_n": "100"}, 280)])
+def test_the_return_is_that_of_the_policy_that_training_keeps(tmp_path, disturbed, kept):
+    variant = Variant("one", disturbed, (0,))
+    config = expected(variant, 0, tmp_path.parent)
+    (tmp_path / "checkpoints" / "step_000300").mkdir(parents=True)
+    (tmp_path / "config.json").write_text(json.dumps({"config": config}))
+    # The weighted reward is learned from: it chooses the second, of which the plain return is 290.
+    returns = [(295, 200), (290, 250), (280, 240)]
+    lines = [dict.fromkeys(learning.COLUMNS.values(), 0.0) for _ in returns]
+    for line, (plain, weighted) in zip(lines, returns, strict=True):
+        line |= {"eval/return_plain": plain, "eval/return_weighted": weighted}
+    (tmp_path / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    assert learning.read(tmp_path, variant, 0)["return_plain"] == kept
 
 
 @pytest.mark.parametrize("key", LATER)
@@ -77,7 +103,7 @@ def test_a_run_made_before_a_setting_existed_is_one_without_it(monkeypatch, tmp_
     study(tmp_path)
     path = tmp_path / "runs" / "tenth-seed1" / "config.json"
     held = json.loads(path.read_text())
-    without = expected(TWO_SEEDS, 1)[key] == LATER[key]
+    without = expected(TWO_SEEDS, 1, path.parent.parent)[key] == LATER[key]
     del held["config"][key]
     path.write_text(json.dumps(held))
     if without:
@@ -100,7 +126,7 @@ def test_the_goal_is_reached_at_the_first_evaluation_at_or_over_it():
 
 
 def test_what_is_never_reached_has_no_mean():
-    quantities = [f"{name}_{reward}" for name in ("best_return", "samples_to_250") for reward in ("plain", "weighted")]
+    quantities = [f"{name}_{reward}" for name in ("return", "samples_to_250") for reward in ("plain", "weighted")]
     run = dict.fromkeys([*quantities, "train_s_to_250_plain", "train_s_to_250_weighted"]) | {"physics_hz": 500}
     rows = summarize(TWO_SEEDS, [run, run | {"samples_to_250_plain": 7.0}])
     assert {row["quantity"]: row["mean"] for row in rows if row["n"]} == {"samples_to_250_plain": 7.0}
@@ -110,12 +136,12 @@ def test_what_is_never_reached_has_no_mean():
 def test_studies_fix_settings_that_exist_and_share_runs_by_name():
     seen = {}
     for variant in (variant for variants in STUDIES.values() for variant in variants):
-        assert expected(variant, 0).keys() <= comparable(asdict(TrainConfig())).keys()
+        assert expected(variant, 0, learning.Path("runs")).keys() == comparable(asdict(TrainConfig())).keys()
         assert seen.setdefault(variant.name, variant.settings) == variant.settings
 
 
 def test_overrides_read_as_a_run_records_them():
-    wanted = expected(TWO_SEEDS, 1)
+    wanted = expected(TWO_SEEDS, 1, learning.Path("runs"))
     assert wanted["seed"] == 1
     assert wanted["ppo.critic_learning_rate"] == 1e-2
     assert wanted["ppo.actor_learning_rate"] == 1e-4
@@ -124,9 +150,9 @@ def test_overrides_read_as_a_run_records_them():
 
 
 def test_a_run_can_go_on_from_the_one_of_its_seed_in_a_task_of_its_own():
-    on = Variant("on", {"walk": "robust", "init": "runs/first-seed{seed}", "walk.damping": "0.5"})
-    wanted = expected(on, 2)
-    assert (wanted["init"], wanted["seed"], wanted["walk.damping"]) == ("runs/first-seed2", 2, 0.5)
+    on = Variant("on", {"walk": "robust", "init": "{runs}/first-seed{seed}", "walk.damping": "0.5"})
+    wanted = expected(on, 2, learning.Path("other/runs"))
+    assert (wanted["init"], wanted["seed"], wanted["walk.damping"]) == ("other/runs/first-seed2", 2, 0.5)
     assert wanted["walk.disturbance.push_n"] == WALK_PRESETS["robust"].disturbance.push_n > 0
 
 

@@ -48,7 +48,7 @@ def quoted():
 def learned():
     """What the seeds of the walk say in the README."""
     found = {row["quantity"]: row for row in rows("walking", variant="1x")}
-    best, plain = found["best_return_weighted"], found["best_return_plain"]
+    best, plain = found["return_weighted"], found["return_plain"]
     samples, seconds = found["samples_to_250_weighted"], found["train_s_to_250_weighted"]
     content = json.loads((ROOT / "experiments" / "results" / "walking.json").read_text())
     total = [run["curve"]["train_s"][-1] for run in content["runs"]]
@@ -59,15 +59,25 @@ def learned():
     yield f"{plain['min']:.0f} to {plain['max']:.0f} by the plain reward and {best['min']:.0f} to {best['max']:.0f} by"
 
 
+def learned_alone():
+    """How long `make train` takes."""
+    (run,) = json.loads((ROOT / "experiments" / "results" / "make_train.json").read_text())["runs"]
+    yield f"took {run['train_s_to_250_weighted']:.0f} s to 250 and {run['curve']['train_s'][-1]:.0f} s in all"
+
+
 def learned_from_the_plain_reward():
     """What learning from the plain reward comes to, beside the default."""
     found = {(row["variant"], row["quantity"]): row for row in rows("reward")}
-    plain, weighted = (found["1x-plain", f"best_return_{reward}"] for reward in ("plain", "weighted"))
+    plain, weighted = (found["1x-plain", f"return_{reward}"] for reward in ("plain", "weighted"))
     slow, fast = (found[variant, "samples_to_250_plain"] for variant in ("1x-plain", "1x"))
     yield f"{plain['min']:.0f} to {plain['max']:.0f} by the plain reward and to"
     yield f"{weighted['min']:.0f} to {weighted['max']:.0f} by the weighted one, and"
     yield f"{slow['min'] / 1e3:.0f} to {slow['max'] / 1e3:.0f} thousand samples, where the default takes"
-    yield f"{fast['mean'] / 1e3:.0f} thousand. Near"
+    yield f"{fast['mean'] / 1e3:.0f} thousand. The"
+    runs = json.loads((ROOT / "experiments" / "results" / "reward.json").read_text())["runs"]
+    ended = {name: [sum(r["curve"]["low_reward"]) for r in runs if r["variant"] == name] for name in ("1x-plain", "1x")}
+    (least, most), (few, many) = ([f(ended[name]) for f in (min, max)] for name in ("1x", "1x-plain"))
+    yield f"ends {least} to {most} episodes of the default and {few} to {many} of those"
 
 
 def learned_at_1_khz():
@@ -78,7 +88,7 @@ def learned_at_1_khz():
     *slow, fine = zip(runs, after, strict=True)
     assert fine[0]["variant"] == "1x-1000hz"
     yield f"250 weighted after {fine[0]['samples_to_250_weighted'] / 1e3:.0f} thousand, at best"
-    yield f"{fine[0]['best_return_plain']:.1f} plain and {fine[0]['best_return_weighted']:.1f} weighted. But"
+    yield f"{fine[0]['return_plain']:.1f} plain and {fine[0]['return_weighted']:.1f} weighted. But"
     yield f"it is at {fine[1]:.0f} weighted, where three"
     yield f"at 500 Hz are at {min(found for _, found in slow):.0f} to {max(found for _, found in slow):.0f} (each"
 
@@ -89,6 +99,35 @@ def verdicts():
     assert everything["differ_elsewhere"] == 0
     yield f"Of {everything['cells']} trials of 1x chosen"
     yield f"{everything['same']} end alike on both engines, and the other {everything['differ_at_border']} are at a"
+    content = json.loads((ROOT / "experiments" / "results" / "verdicts.json").read_text())
+    steep = [one for one in content["differing"] if one["trial"]["terrain"] == 0.25]
+    assert {one["survived_on"] for one in steep} == {"mjx"}
+    yield f"{len(steep)} of them at h = 0.25 m"
+
+
+def on_both_engines():
+    """What the policies that either engine trained have on both."""
+    found = {(row["trained_on"], row["walks_on"], row["physics_hz"]): row["return_plain"] for row in rows("engines")}
+    on_c, on_mjx = ([found[trained, walks, 2000] for walks in ("native", "mjx")] for trained in ("native", "mjx"))
+    assert f"{on_c[0]:.1f}" == f"{on_c[1]:.1f}"
+    assert f"{on_mjx[0]:.1f}" == f"{on_mjx[1]:.1f}"
+    yield f"has a plain return of {on_c[0]:.1f} on MuJoCo C and on MJX"
+    yield f"has {on_mjx[0]:.1f} on both"
+
+
+def blended():
+    """What the blends come to."""
+    found = {(row["subject"], row["quantity"]): row for row in rows("interpolation")}
+    chain = "blend:0x,1x,2x,3x,4x schedule=ramp"
+    up, fastest = found[chain, "starts_up"], found[chain, "highest_speed_mps"]
+    yield f"from stepping in place to {fastest['value']:.1f} m/s"
+    yield f"from {up['value']:g} of {up['n']} starting phases"
+    first, second, blend = (
+        found[subject, "terrain_h_m"]["value"] for subject in ("1x", "2x", "blend:1x,2x schedule=adaptive")
+    )
+    yield f"h = {blend:.2f} m against {first:.2f} and {second:.2f}"
+    alone = [row["value"] for k in range(3) for row in rows(f"evaluate/1x-seed{k}", quantity="terrain_h_m")]
+    yield f"1x alone reaches {min(alone):.2f} to {max(alone):.2f}"
 
 
 def tuned():
@@ -117,7 +156,18 @@ def test_what_a_page_links_to_exists(page):
 
 
 @pytest.mark.parametrize(
-    "piece", [*quoted(), *learned(), *learned_from_the_plain_reward(), *learned_at_1_khz(), *tuned()]
+    "piece",
+    [
+        *quoted(),
+        *learned(),
+        *learned_alone(),
+        *learned_from_the_plain_reward(),
+        *learned_at_1_khz(),
+        *verdicts(),
+        *on_both_engines(),
+        *blended(),
+        *tuned(),
+    ],
 )
 def test_what_the_readme_quotes_is_what_was_measured(piece):
     assert piece in TEXT

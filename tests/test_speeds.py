@@ -67,7 +67,8 @@ def test_the_policies_of_training_runs_are_measured_under_name_and_seed(tmp_path
         run = tmp_path / f"1x-seed{seed}"
         run.mkdir()
         shutil.copy(export.shipped_policies()["1x"], run / "best.npz")
-        held = learning.expected(learning.DEFAULT, seed)
+        held = learning.expected(learning.DEFAULT, seed, tmp_path)
+        (run / "checkpoints" / f"step_{held['ppo.iterations']:06}").mkdir(parents=True)
         (run / "config.json").write_text(json.dumps({"config": held}))
     monkeypatch.setattr(speeds, "keep", lambda policy: [{"quantity": "speed_mps", "value": 1}])
     config = SpeedsConfig(("1x",), None, str(tmp_path), (0, 4), out=str(tmp_path / "a.json"))
@@ -84,7 +85,7 @@ def test_the_policies_of_training_runs_are_measured_under_name_and_seed(tmp_path
 @pytest.mark.parametrize(
     ("arguments", "why"),
     [
-        ({"policies": ()}, "policies is empty"),
+        ({"policies": (), "any_speed": None}, "policies and any_speed are empty"),
         ({"runs": "runs", "training_seeds": ()}, "training_seeds is empty"),
         ({"runs": "runs", "policies": ("1x", "5x")}, "policies=5x: runs has 1x, 0x, 2x, 3x, 4x"),
     ],

@@ -83,7 +83,6 @@ WALK_PRESETS = {
     "robust": WalkConfig(
         early_end_reward=None,
         x_limit_m=None,
-        # By the input statistics of 1x, y is clipped beyond 0.64 m: robots learn to come back from there all the same.
         start_offset_m=1.0,
         damping=0.3,
         disturbance=DisturbanceConfig(push_n=300, push_pause_s=2, terrain_m=0.25, delay_s=0.01),
