@@ -40,7 +40,7 @@ class EvaluateConfig(SubjectConfig):
 
 
 def main(config: EvaluateConfig) -> None:
-    """Measure, write the result and show it."""
+    """Measure, show each suite's figures as it ends, and write the result."""
     out = cli.check_writable(config.out)
     console = Console(stderr=True)
     subject = config.subject()
@@ -53,12 +53,13 @@ def main(config: EvaluateConfig) -> None:
             watch = partial(_show, status, suite)
             findings = SUITES[suite](subject, Setting(config.physics, config.long, watch))
         seconds[suite] = round(time.perf_counter() - began, 1)
-        rows += [{"subject": subject.name, **figure._asdict()} for figure in findings.figures]
+        found = [{"subject": subject.name, **figure._asdict()} for figure in findings.figures]
+        console.print(table(f"{subject.name}: {suite}", found))
+        rows += found
         if findings.cells is not None:
             cells[suite] = findings.cells
     provenance = cli.provenance(**asdict(config), subject=dict(subject.provenance), seconds=seconds)
     cli.write_json(out, {"rows": rows, **cells, "provenance": provenance})
-    console.print(table(subject.name, rows))
 
 
 def _show(status: Status, suite: str, over: int, walking: int) -> None:

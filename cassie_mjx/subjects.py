@@ -20,7 +20,7 @@ from cassie_mjx.physics.types import Array, BodyState, Disturbance, Physics, Phy
 from cassie_mjx.ppo import networks
 from cassie_mjx.reference import ReferenceMotion, nearest_sample, sample, stretch
 from cassie_mjx.returns import EPISODE_STEPS, STARTS, referee, walk_returns
-from cassie_mjx.trials import Measured, Subject, Walker, carried, decide, fallen
+from cassie_mjx.trials import Measured, NeverSteady, Subject, Walker, carried, decide, fallen
 
 CONTROLLER_PREFIX, BLEND_PREFIX = "controller:", "blend:"
 WARM_UP_STRIDES = 9
@@ -99,13 +99,13 @@ def copied_along(subject: Subject, physics: Physics, walker: Walker, calls: np.n
     """One robot walks on, and a copy of it is taken before each of the acts `calls` [B], counted from 0, back at x = 0.
 
     Raises:
-      ValueError: it falls before it walks steadily.
+      NeverSteady: it falls before it walks steadily.
     """
     walk = enumerate(islice(walked(subject, physics, walker), calls.max() + 1))
     taken = {call: walker for call, walker in walk if call in calls}
     walkers = side_by_side(subject, [taken[call] for call in calls.tolist()])
     if fallen(walkers.physics.qpos, np.zeros(len(calls))).any():
-        raise ValueError(f"{subject.name} falls before it walks steadily, so there is nothing to measure.")
+        raise NeverSteady(f"{subject.name} falls before it walks steadily, so there is nothing to measure.")
     return walkers
 
 

@@ -18,7 +18,7 @@ from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Physics
 from cassie_mjx.sweeps import LimitSearch, Watch, conduct, fly
-from cassie_mjx.trials import AFTER_PUSH_S, EpisodeResult, Measured, Subject, Trial, Walker
+from cassie_mjx.trials import AFTER_PUSH_S, EpisodeResult, Measured, NeverSteady, Subject, Trial, Walker
 
 ENGINES = ("native", "mjx")
 
@@ -86,9 +86,17 @@ Suite: TypeAlias = Callable[[Subject, Setting], Findings]
 
 
 def walk(subject: Subject, setting: Setting) -> Findings:
-    """Undisturbed walking on the flat from ten phases of the stride."""
-    physics, starts = setting.physics(subject), setting.starts(subject, WALK_PHASES)
+    """Undisturbed walking on the flat from ten phases of the stride.
+
+    Of a subject that falls before it walks steadily, the returns and a survival of 0 s are all there is.
+    """
+    physics = setting.physics(subject)
     figures = subject.returns(physics)
+    try:
+        starts = setting.starts(subject, WALK_PHASES)
+    except NeverSteady:
+        figures += [Measured("survived_s" + suffix, 0.0, "s", len(WALK_PHASES)) for _, suffix in setting.durations]
+        return Findings(figures)
     for seconds, suffix in setting.durations:
         trials = [Trial(start, seconds) for start in range(len(WALK_PHASES))]
         figures += walking_figures(fly(subject, physics, starts, trials, setting.watch), suffix)

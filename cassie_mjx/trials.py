@@ -117,6 +117,10 @@ class EpisodeResult:
     power_w: np.ndarray
 
 
+class NeverSteady(ValueError):
+    """A walker falls before it walks steadily, which is where trials start."""
+
+
 def fallen(qpos: Array, terrain: Array) -> Array:
     """Whether the pelvis of qpos [..., 35] is less than 0.6 m or more than 1.2 m over the ground below it, or NaN."""
     height = height_over_ground(qpos, terrain)

@@ -125,6 +125,8 @@ def mean_map(folder: Path, results: Sequence[Result]) -> plots.PushMap:
             if survived.shape != tuple(len(cells[axis]) for axis in ("directions_deg", "phases", "forces_N")):
                 raise ValueError(f"a map of shape {survived.shape} does not fit its axes")
             maps.append(plots.PushMap(survived.mean(axis=1), cells["directions_deg"], cells["forces_N"]))
+            if maps[-1][1:] != maps[0][1:]:
+                raise ValueError("a map with other directions or forces than that of the first seed")
     return maps[0]._replace(shares=np.mean([one.shares for one in maps], axis=0))
 
 
@@ -156,6 +158,8 @@ def survival_series(folder: Path, walker: str, results: Sequence[Result], quanti
                 raise ValueError(f"no rows of {quantity}")
             levels.append([row["level"] for row in cells])
             shares.append([row["value"] for row in cells])
+            if levels[-1] != levels[0]:
+                raise ValueError(f"{quantity} at other levels than those of the first seed")
     return plots.Series(walker, levels[0], np.mean(shares, axis=0).tolist())
 
 

@@ -24,6 +24,7 @@ from cassie_mjx.physics.types import Disturbance
 from cassie_mjx.reference import MAX_STRETCH, nearest_sample
 from cassie_mjx.subjects import PolicySubject
 from cassie_mjx.suites import Setting
+from cassie_mjx.trials import Measured
 from experiments import learning
 from experiments.interpolation import STARTS, Ride
 
@@ -83,9 +84,8 @@ def single_speeds(config: SpeedsConfig) -> list[tuple[dict[str, Any], PolicySubj
 
 def keep(policy: PolicySubject) -> list[dict[str, Any]]:
     """Figures of ten walks of 10 s at the policy's speed, the reference's own speed among them."""
-    figures = {figure.quantity: figure for figure in suites.walk(policy, Setting()).figures}
-    commanded = figures["speed_mps"]._replace(quantity="commanded_mps", value=interpolate.mean_speed(policy.motion))
-    return [figure._asdict() for figure in (commanded, *figures.values())]
+    commanded = Measured("commanded_mps", interpolate.mean_speed(policy.motion), "m/s", len(suites.WALK_PHASES))
+    return [figure._asdict() for figure in (commanded, *suites.walk(policy, Setting()).figures)]
 
 
 def profile(seed: int) -> np.ndarray:

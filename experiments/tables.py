@@ -111,7 +111,20 @@ def all_speeds(folder: Path) -> list[tuple[str, list[Result]]]:
 
 def _measured(folder: Path, patterns: Mapping[str, str]) -> list[tuple[str, list[Result]]]:
     found = [(walker, find(folder, pattern)) for walker, pattern in patterns.items()]
+    for walker, results in found:
+        for result in results:
+            with blaming(folder / result.name):
+                _check_origin(walker, result.seed, result.provenance)
     return [(walker, results) for walker, results in found if results]
+
+
+def _check_origin(walker: str, seed: str, provenance: dict[str, Any]) -> None:
+    """Raise ValueError unless a walker's result is of MuJoCo C, of its speed, and of the seed in the file's name."""
+    found = {"physics": "native", "speed": None, "seed": seed} | provenance | provenance.get("subject", {})
+    wanted = {"physics": "native", "speed": walker.partition(" speed=")[2] or None, "seed": seed}
+    for key, value in wanted.items():
+        if str(found[key]) != str(value):
+            raise ValueError(f"it is of {key}={found[key]}, where {key}={value} is reported")
 
 
 class Row(NamedTuple):
@@ -180,7 +193,9 @@ def cell(row: Row, results: Sequence[Result]) -> str:
         return NO_FIGURE
     text = span(values, row.digits)
     text += f" ({len(values)} of {len(results)} seeds)" if len(values) < len(results) else ""
-    return f"{text}, the highest tried" if min(values) >= row.highest else text
+    ends = sum(value >= row.highest for value in values)
+    text += ", the highest tried" if ends else ""
+    return text + (f" by {ends} of them" if 0 < ends < len(values) else "")
 
 
 def span(values: Sequence[float], digits: int) -> str:
@@ -275,10 +290,10 @@ def _walks(result: Result) -> list[tuple[str, ...]]:
         speeds, ups = (result.values(quantity, subject) for quantity in ("speed_mps", "survived_s"))
         own = [row for row in result.content["rows"] if row["subject"] == subject]
         starts = [row for row in own if row.get("quantity") == "starts_up"]
-        if told is not None and speeds and ups:
+        if told is not None and ups:
             paper = PAPER_SPEEDS.get(subject, NO_FIGURE)
             least = "at least " if len(ups) > 1 else ""
-            ours = f"told {told:.2f} m/s: {span(speeds, 2)}, up {least}{min(ups):g} of 10 s"
+            ours = f"told {told:.2f} m/s: {span(speeds, 2) if speeds else NO_FIGURE}, up {least}{min(ups):g} of 10 s"
             plain = result.values("return_plain", subject)
             ours += f", return {span(plain, 1)} by the plain reward" if plain else ""
             seeds = dict.fromkeys(str(row["seed"]) for row in own if "seed" in row)

@@ -75,7 +75,9 @@ def learned_from_the_plain_reward():
     yield f"{slow['min'] / 1e3:.0f} to {slow['max'] / 1e3:.0f} thousand samples, where the default takes"
     yield f"{fast['mean'] / 1e3:.0f} thousand. The"
     runs = json.loads((ROOT / "experiments" / "results" / "reward.json").read_text())["runs"]
-    ended = {name: [sum(r["curve"]["low_reward"]) for r in runs if r["variant"] == name] for name in ("1x-plain", "1x")}
+    ended = {
+        name: [int(sum(r["curve"]["low_reward"])) for r in runs if r["variant"] == name] for name in ("1x-plain", "1x")
+    }
     (least, most), (few, many) = ([f(ended[name]) for f in (min, max)] for name in ("1x", "1x-plain"))
     yield f"ends {least} to {most} episodes of the default and {few} to {many} of those"
 

@@ -24,10 +24,10 @@ MAP = {
 }
 
 
-def write(folder, name, rows=(), **content):
+def write(folder, name, rows=(), origin=None, **content):
     path = folder / name
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps({"rows": list(rows), **content, "provenance": PROVENANCE}))
+    path.write_text(json.dumps({"rows": list(rows), **content, "provenance": PROVENANCE | (origin or {})}))
 
 
 def figures(subject="1x", **values):
@@ -111,6 +111,36 @@ def test_a_figure_that_some_seeds_lack_says_so(everything):
 
 def test_a_limit_at_the_highest_level_tried_says_so(everything):
     assert row_of(tables.beside_the_paper(everything), "terrain")["`stiff`"] == "0.40, the highest tried"
+    for seed, h in enumerate((0.2, 0.4)):
+        write(everything, f"evaluate/1x-robust-seed{seed}.json", figures(terrain_h_m=h))
+    table = tables.beside_the_paper(everything)
+    ours = next(name for name in table.header if name.startswith("`1x-robust`"))
+    assert row_of(table, "terrain")[ours] == "0.30 (0.20 to 0.40), the highest tried by 1 of them"
+
+
+@pytest.mark.parametrize(
+    ("origin", "complaint"),
+    [
+        ({"physics": "mjx"}, "physics=mjx, where physics=native"),
+        ({"speed": "2x"}, "speed=2x, where speed=None"),
+        ({"subject": {"seed": 7}}, "seed=7, where seed=0"),
+    ],
+)
+def test_a_result_of_something_else_is_refused(tmp_path, origin, complaint):
+    write(tmp_path, "evaluate/1x-seed0.json", figures(return_plain=290), origin)
+    with pytest.raises(ValueError, match=f"1x-seed0.json is not a result as expected: it is of {complaint}"):
+        tables.beside_the_paper(tmp_path)
+
+
+def test_seeds_of_other_levels_are_not_averaged(everything):
+    levels = [{"subject": "1x", "quantity": "terrain_survived", "level": h, "value": 1} for h in (0.0, 0.4)]
+    write(everything, "survival/1x-seed1.json", levels)
+    with pytest.raises(ValueError, match="1x-seed1.json .* terrain_survived at other levels"):
+        whole_page(everything)
+    (everything / "survival/1x-seed1.json").unlink()
+    write(everything, "map/1x-seed1.json", map=MAP | {"forces_N": [20, 40]})
+    with pytest.raises(ValueError, match="1x-seed1.json .* other directions or forces"):
+        whole_page(everything)
 
 
 def test_what_was_not_measured_is_named_and_never_shown(everything, tmp_path):
@@ -120,7 +150,7 @@ def test_what_was_not_measured_is_named_and_never_shown(everything, tmp_path):
     empty.mkdir()
     assert tables.beside_the_paper(empty).rows == []
     assert tables.speeds_and_blends(empty) is None
-    assert whole_page(empty).count("Not measured yet. ") == 16
+    assert whole_page(empty).count("Not measured yet. ") == 17
 
 
 def test_speeds_and_blends(everything):
@@ -141,7 +171,7 @@ def test_speeds_and_blends(everything):
 
 def test_the_policy_of_all_speeds_stands_beside_those_of_one(everything):
     assert tables.any_beside_single_speeds(everything) is None
-    write(everything, "evaluate/any-2x-seed0.json", figures(push_forward_N=90, terrain_h_m=0.2))
+    write(everything, "evaluate/any-2x-seed0.json", figures(push_forward_N=90, terrain_h_m=0.2), {"speed": "2x"})
     table = tables.any_beside_single_speeds(everything)
     assert table is not None
     assert table.header[1:-1] == (

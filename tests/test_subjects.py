@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cassie_mjx import cli, export, film, reference, robot, subjects
+from cassie_mjx import cli, export, film, reference, returns, robot, subjects
 from cassie_mjx.config import PPO_PRESETS
 from cassie_mjx.envs import observation
 from cassie_mjx.export import NumpyPolicy, save_policy
@@ -63,6 +63,16 @@ def test_a_policy_that_we_ship_goes_by_its_name():
     subject = subjects.resolve("1x")
     assert subject.name == "1x"
     assert subject.provenance == NumpyPolicy.load(export.shipped_policies()["1x"]).provenance
+
+
+def test_returns_are_of_senses_as_late_as_asked(model, monkeypatch):
+    monkeypatch.setattr(returns, "EPISODE_STEPS", 40)
+    subject, physics = subjects.resolve("1x"), NativePhysics(model, max_delay=40)
+    (prompt, *_), (late, *_) = (subject.returns(physics, delay) for delay in (0, 40))
+    assert (prompt.quantity, late.quantity) == ("return_plain", "return_plain")
+    # 20 ms late, robots fall within a second.
+    assert prompt.value > 39
+    assert late.value < 30
 
 
 def test_a_command_line_names_its_subject():

@@ -110,6 +110,35 @@ def test_the_map_has_every_cell(monkeypatch):
     assert found["push_map_survived"] == pytest.approx((15 * 80 + 41) / 5120)
 
 
+def test_the_limits_of_pushes_are_those_of_each_direction_and_phase():
+    class Pushed(Settled):
+        @staticmethod
+        def falls(start, velocity, t, disturbance):
+            # Points of 1 kg gain 0.2 m/s for each newton of 0.2 s.
+            forward, left = velocity[:, 0] / 0.2, velocity[:, 1] / 0.2
+            along = (forward > 105 + 10 * start) | (forward < -55 - 10 * start)
+            return along | (left > 205) | (left < -35 - 10 * start)
+
+    # Phases 0 to 7: the median is 35 N over the worst where a limit grows by 10 N from phase to phase.
+    assert values(suites.push(Still(), Pushed())) == {
+        **{"push_forward_N": 100, "push_backward_N": 50, "push_left_N": 200, "push_right_N": 30},
+        **{"push_forward_median_N": 135, "push_backward_median_N": 85},
+        **{"push_left_median_N": 200, "push_right_median_N": 65},
+    }
+
+
+def test_a_walker_that_falls_in_the_warm_up_has_returns_and_a_survival_of_nothing():
+    class Unsteady(Imitating):
+        def start(self, physics, phases):
+            raise trials.NeverSteady("falls")
+
+    assert values(suites.walk(Unsteady(), Settled(long=True))) == {
+        **{"return_plain": 300, "survived_s": 0, "survived_s_60s": 0}
+    }
+    with pytest.raises(ValueError, match="falls"):
+        suites.push(Unsteady(), Settled())
+
+
 def test_pushes_along_the_axes_are_those_of_the_limit_search():
     assert [suites.towards(degrees) for degrees in (0, 180, 90, 270)] == list(suites.DIRECTIONS.values())
     assert suites.towards(30) == pytest.approx((3**0.5 / 2, 0.5))

@@ -1,12 +1,26 @@
 """Who stays up, level by level: shares by hand, and a walker that walks on."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
+from points import Still, points
 
 from cassie_mjx.subjects import resolve
+from cassie_mjx.suites import Setting
 from experiments import survival
 from experiments.survival import SurvivalConfig, main, rows
+
+
+class Standing(Setting):
+    """A setting whose engine is one of points."""
+
+    def physics(self, subject, scene="flat", longest_delay_s=0.0):
+        return points()
+
+    def starts(self, subject, phases, longest_delay_s=0.0):
+        return subject.start(points(), phases)
 
 
 def test_a_share_is_that_of_the_starts_of_a_level():
@@ -32,3 +46,22 @@ def test_levels_from_none_on_are_walked(monkeypatch, tmp_path):
         *(("delay_survived", level, "ms", 2) for level in (0.0, 20.0)),
     ]
     assert found[0]["value"] == found[2]["value"] == 1
+
+
+def test_each_level_disturbs_as_it_says(monkeypatch):
+    flown = []
+
+    def fly(subject, physics, starts, trials, watch, lanes):
+        flown.extend(trials)
+        return SimpleNamespace(fell=np.zeros(len(trials), bool))
+
+    monkeypatch.setattr(survival, "fly", fly)
+    subject, setting = Still(), Standing()
+    heights = [row["level"] for row in survival.terrain(subject, setting)]
+    assert heights == [pytest.approx(k / 100) for k in range(41)]
+    assert [(trial.start, trial.terrain) for trial in flown] == [(k, h) for h in heights for k in range(8)]
+    flown.clear()
+    assert [row["level"] for row in survival.delay(subject, setting)] == list(range(21))
+    # 2 steps a millisecond at 2 kHz.
+    assert [(trial.start, trial.delay) for trial in flown] == [(k, 2 * ms) for ms in range(21) for k in range(10)]
+    assert {trial.seconds for trial in flown} == {10}

@@ -6,8 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from points import Still, compiled_points, points
+from subject import Swaying
 
-from cassie_mjx import robot
+from cassie_mjx import flight, robot
 from cassie_mjx.flight import motor_effort
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance, PhysicsState, namespace
@@ -220,6 +221,21 @@ def test_subjects_see_the_state_of_a_delay_ago(model, standing_qpos):
     moved = carried(subject, Walker(at_64, np.zeros(2)), np.array([[1.0, 2.0, 3.0], [0, 0, 0]]))
     np.testing.assert_allclose(moved.physics.history[0, :, :3] - at_64.history[0, :, :3], np.tile([1, 2, 3], (21, 1)))
     np.testing.assert_array_equal(moved.physics.history[:, :, 3:], at_64.history[:, :, 3:])
+
+
+def test_effort_is_that_of_the_subjects_own_pd_law(model, monkeypatch):
+    seen = []
+    monkeypatch.setattr(flight, "motor_effort", lambda *given: seen.append(given[3]) or motor_effort(*given))
+    subject, physics = Swaying(damping=0.3), NativePhysics(model, damping=0.3)
+    fly(subject, physics, subject.start(physics, np.zeros(1)), [Trial(0, 0.032)])
+    assert set(seen) == {0.3}
+
+
+def test_an_engine_of_another_pd_law_is_refused(model):
+    physics = NativePhysics(model)
+    starts = Swaying().start(physics, np.zeros(1))
+    with pytest.raises(ValueError, match="swaying walks with damping=0.3, this engine has 1; make it with"):
+        fly(Swaying(damping=0.3), physics, starts, [Trial(0, 0.032)])
 
 
 def test_a_period_that_does_not_divide_the_control_step_is_refused():
