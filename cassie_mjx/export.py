@@ -280,7 +280,7 @@ def main(config: ExportConfig) -> None:
     partial.write_bytes(source.read_bytes())
     partial.replace(out)
     returns = {name: value for name, value in policy.provenance.items() if name.startswith("return_")}
-    print(f"{out}: " + ", ".join(f"{name} {value:.1f}" for name, value in returns.items()))
+    print(f"{config.out}: " + ", ".join(f"{name} {value:.1f}" for name, value in returns.items()))
 
 
 if __name__ == "__main__":

@@ -1,9 +1,11 @@
 """Command lines as dataclasses, and results with their provenance."""
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -44,6 +46,35 @@ def test_a_command_ends_with_one_sentence_and_a_status(tmp_path):
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith(f"error: {tmp_path}/missing/a.json cannot be written")
     assert "Traceback" not in done.stderr
+
+
+def test_a_link_is_followed_to_its_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("store").mkdir()
+    Path("a.json").symlink_to("store/b")
+    for there in (None, "old"):
+        if there:
+            Path("store/b").write_text(there)
+        cli.write_text(cli.check_writable("a.json"), "new")
+        assert Path("a.json").is_symlink()
+        assert Path("store/b").read_text() == "new"
+    Path("folder").symlink_to("store")
+    for plain in ("c.json", "store/b", "folder/b", "folder/c"):
+        assert cli.check_writable(plain) == Path(plain)
+
+
+def test_what_is_no_regular_file_is_refused(tmp_path):
+    pipe, link, loop, nowhere = (tmp_path / name for name in ("pipe", "link", "loop", "nowhere"))
+    os.mkfifo(pipe)
+    link.symlink_to(pipe)
+    loop.symlink_to(loop)
+    nowhere.symlink_to(tmp_path / "missing" / "a.json")
+    for path in (pipe, link, loop):
+        with pytest.raises(ValueError, match=f"^{path} is not a regular file, and would be replaced by one; name"):
+            cli.check_writable(str(path))
+    for path in (tmp_path, nowhere):
+        with pytest.raises(ValueError, match=f"^{path} cannot be written; name a file in an existing folder"):
+            cli.check_writable(str(path))
 
 
 def test_results_are_written_whole_with_their_provenance(tmp_path):
