@@ -5,15 +5,17 @@ import importlib.metadata
 import json
 import os
 import platform
+import signal
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_origin
 
-from omegaconf import OmegaConf
+import yaml
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "brax", "flax", "optax", "numpy")
@@ -25,7 +27,7 @@ def parse(config_class: type[C], arguments: Sequence[str]) -> C:
     """Read `key=value` arguments into the frozen dataclass `config_class`; a tuple is `key=1,2` or `key=[1,2]`.
 
     Raises:
-      ValueError: an argument that is not `key=value`, an unknown key, or a value of the wrong type.
+      ValueError: an argument that is not `key=value`, an unknown key, or a value that is no YAML or of the wrong type.
     """
     valid = ", ".join(field.name for field in fields(config_class))  # type: ignore[arg-type]
     for argument in arguments:
@@ -35,9 +37,8 @@ def parse(config_class: type[C], arguments: Sequence[str]) -> C:
         if key not in valid.split(", "):
             raise ValueError(f"{key!r} is not a key; the keys are {valid}.")
     tuples = {field.name for field in fields(config_class) if get_origin(field.type) is tuple}  # type: ignore[arg-type]
-    dotlist = [_bracketed(argument) if argument.partition("=")[0] in tuples else argument for argument in arguments]
     try:
-        merged = OmegaConf.merge(OmegaConf.structured(config_class), OmegaConf.from_dotlist(dotlist))
+        merged = OmegaConf.merge(OmegaConf.structured(config_class), *(_read(each, tuples) for each in arguments))
         config: Any = OmegaConf.to_object(merged)
     except OmegaConfBaseException as error:
         raise ValueError(f"{' '.join(arguments)}: {str(error).splitlines()[0]}.") from error
@@ -46,19 +47,38 @@ def parse(config_class: type[C], arguments: Sequence[str]) -> C:
     return replace(config, **sequences)
 
 
+def _read(argument: str, tuples: Container[str]) -> DictConfig:
+    """One `key=value`, its value read as YAML. Raise ValueError if that is not possible."""
+    key, _, _ = argument.partition("=")
+    try:
+        return OmegaConf.from_dotlist([_bracketed(argument) if key in tuples else argument])
+    except yaml.YAMLError as error:
+        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+        raise ValueError(
+            f"{argument!r} has a value that is no YAML ({problem}); close its brackets, or put it in quotes that the "
+            f"shell keeps, \"{key}='...'\"."
+        ) from error
+
+
 def _bracketed(argument: str) -> str:
     key, _, value = argument.partition("=")
     return argument if value.startswith("[") else f"{key}=[{value}]"
 
 
 def run(main: Callable[[C], None], config_class: type[C]) -> None:
-    """Run a command: parse `sys.argv`, call `main`; a ValueError or OSError ends it with one sentence and status 2."""
+    """Run a command: parse `sys.argv`, call `main`.
+
+    A ValueError or OSError ends it with one sentence and status 2, Ctrl-C with one word and status 130.
+    """
     keep_compiled_programs()
     try:
         main(parse(config_class, sys.argv[1:]))
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
+    except KeyboardInterrupt:
+        print("Interrupted.", file=sys.stderr)
+        sys.exit(128 + signal.SIGINT)
 
 
 def keep_compiled_programs() -> None:
