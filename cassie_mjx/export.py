@@ -180,12 +180,14 @@ def learner_policy(saved: NumpyPolicy) -> "Policy":
     """The same policy for `ppo.networks`, without noise: to be evaluated on an accelerator, or trained further.
 
     Raises:
-      ValueError: it was trained on another layout of the observation, or for another robot, than this version's.
+      ValueError: it was trained on another layout of the observation, with another bound on its inputs, or for another
+        robot, than this version's.
     """
     import jax.numpy as jnp
 
     from cassie_mjx import robot
     from cassie_mjx.envs import observation
+    from cassie_mjx.ppo.normalizer import CLIP
     from cassie_mjx.ppo.types import Normalizer, Policy
 
     differing = [line for line in saved.observation if line not in observation.describe()]
@@ -193,6 +195,11 @@ def learner_policy(saved: NumpyPolicy) -> "Policy":
         raise ValueError(
             f"The policy observes {'; '.join(differing) or len(saved.observation)}, which this version's observation "
             "has not; use the version it was trained with, named in its provenance."
+        )
+    if saved.clip != CLIP:
+        raise ValueError(
+            f"The policy bounds its inputs at {saved.clip:g} standard deviations, this version at {CLIP:g}; use the "
+            "version it was trained with, named in its provenance."
         )
     stride = saved.reference_qpos.shape[1:], saved.reference_qvel.shape[1:]
     if saved.joints != robot.ACTUATORS or stride != ((robot.NQ,), (robot.NV,)):

@@ -169,6 +169,13 @@ def test_another_observation_is_refused(path):
         learner_policy(other)
 
 
+def test_another_bound_on_the_inputs_is_refused(path):
+    saved = NumpyPolicy.load(path)
+    assert learner_policy(replace(saved, clip=normalizer.CLIP))
+    with pytest.raises(ValueError, match="bounds its inputs at 5 standard deviations, this version at 10; use the"):
+        learner_policy(replace(saved, clip=5.0))
+
+
 def test_wrong_inputs_are_refused(path, tmp_path):
     with pytest.raises(ValueError, match=r"shape \(79,\) was given; this policy takes 80"):
         NumpyPolicy.load(path)(np.zeros(79))
