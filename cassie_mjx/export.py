@@ -96,7 +96,7 @@ class NumpyPolicy:
 
         Raises:
           ValueError: the file is missing, damaged, of another format, holds a number that is not finite, or its parts
-        do not fit together.
+            do not fit together.
         """
         content = _read(Path(path))
         try:
@@ -113,9 +113,19 @@ def shipped_policies() -> dict[str, Path]:
 
 
 def find(name: str) -> Path | None:
-    """The policy we ship as `name`, the file `name`, or the best policy of the run in that directory; None if none."""
+    """The policy we ship as `name`, the file `name`, or the best policy of the run in that directory; None if none.
+
+    Raises:
+      ValueError: there is such a file or run, and we ship a policy of the same name.
+    """
     path = Path(name) / "best.npz" if Path(name).is_dir() else Path(name)
-    return shipped_policies().get(name) or (path if path.is_file() else None)
+    shipped, local = shipped_policies().get(name), path if path.is_file() else None
+    if shipped and local:
+        raise ValueError(
+            f"{name} comes with the package and is here as well, as {local}; write ./{name} for the one here, or "
+            f"{shipped} for the other."
+        )
+    return shipped or local
 
 
 def save_policy(

@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -181,6 +182,22 @@ def test_wrong_inputs_are_refused(path, tmp_path):
         NumpyPolicy.load(path)(np.zeros(79))
     with pytest.raises(ValueError, match="no policy file"):
         NumpyPolicy.load(tmp_path / "missing.npz")
+
+
+@pytest.mark.parametrize("local", ["1x", "1x/best.npz"])
+def test_a_name_of_ours_that_is_here_as_well_is_refused(path, tmp_path, monkeypatch, local):
+    shipped = export.shipped_policies()["1x"]
+    monkeypatch.chdir(tmp_path)
+    assert export.find("1x") == shipped
+    assert export.find("here") is None
+    there = tmp_path / local
+    there.parent.mkdir(exist_ok=True)
+    assert export.find("1x") == shipped
+    path.rename(there)
+    with pytest.raises(ValueError, match=f"^1x comes with .*, as {local}; write ./1x for the one here, or {shipped} "):
+        export.find("1x")
+    assert export.find("./1x") == Path(local)
+    assert export.find(str(shipped)) == shipped
 
 
 def test_export_copies_a_checked_policy(path, tmp_path, capsys):
