@@ -5,15 +5,17 @@ import importlib.metadata
 import json
 import os
 import platform
+import signal
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_origin
 
-from omegaconf import OmegaConf
+import yaml
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "brax", "flax", "optax", "numpy")
@@ -25,7 +27,7 @@ def parse(config_class: type[C], arguments: Sequence[str]) -> C:
     """Read `key=value` arguments into the frozen dataclass `config_class`; a tuple is `key=1,2` or `key=[1,2]`.
 
     Raises:
-      ValueError: an argument that is not `key=value`, an unknown key, or a value of the wrong type.
+      ValueError: an argument that is not `key=value`, an unknown key, or a value that is no YAML or of the wrong type.
     """
     valid = ", ".join(field.name for field in fields(config_class))  # type: ignore[arg-type]
     for argument in arguments:
@@ -35,9 +37,8 @@ def parse(config_class: type[C], arguments: Sequence[str]) -> C:
         if key not in valid.split(", "):
             raise ValueError(f"{key!r} is not a key; the keys are {valid}.")
     tuples = {field.name for field in fields(config_class) if get_origin(field.type) is tuple}  # type: ignore[arg-type]
-    dotlist = [_bracketed(argument) if argument.partition("=")[0] in tuples else argument for argument in arguments]
     try:
-        merged = OmegaConf.merge(OmegaConf.structured(config_class), OmegaConf.from_dotlist(dotlist))
+        merged = OmegaConf.merge(OmegaConf.structured(config_class), *(_read(each, tuples) for each in arguments))
         config: Any = OmegaConf.to_object(merged)
     except OmegaConfBaseException as error:
         raise ValueError(f"{' '.join(arguments)}: {str(error).splitlines()[0]}.") from error
@@ -46,19 +47,38 @@ def parse(config_class: type[C], arguments: Sequence[str]) -> C:
     return replace(config, **sequences)
 
 
+def _read(argument: str, tuples: Container[str]) -> DictConfig:
+    """One `key=value`, its value read as YAML. Raise ValueError if that is not possible."""
+    key, _, _ = argument.partition("=")
+    try:
+        return OmegaConf.from_dotlist([_bracketed(argument) if key in tuples else argument])
+    except yaml.YAMLError as error:
+        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+        raise ValueError(
+            f"{argument!r} has a value that is no YAML ({problem}); close its brackets, or put it in quotes that the "
+            f"shell keeps, \"{key}='...'\"."
+        ) from error
+
+
 def _bracketed(argument: str) -> str:
     key, _, value = argument.partition("=")
     return argument if value.startswith("[") else f"{key}=[{value}]"
 
 
 def run(main: Callable[[C], None], config_class: type[C]) -> None:
-    """Run a command: parse `sys.argv`, call `main`; a ValueError or OSError ends it with one sentence and status 2."""
+    """Run a command: parse `sys.argv`, call `main`.
+
+    A ValueError or OSError ends it with one sentence and status 2, Ctrl-C with one word and status 130.
+    """
     keep_compiled_programs()
     try:
         main(parse(config_class, sys.argv[1:]))
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
+    except KeyboardInterrupt:
+        print("Interrupted.", file=sys.stderr)
+        sys.exit(128 + signal.SIGINT)
 
 
 def keep_compiled_programs() -> None:
@@ -69,10 +89,19 @@ def keep_compiled_programs() -> None:
 
 
 def check_writable(out: str) -> Path:
-    """The path `out`, or ValueError if no file can be written there. For the door, before hours of work."""
-    path = Path(out)
+    """The file `out`, or the one that a link `out` leads to; for the door, before hours of work.
+
+    Whatever takes the place of a file must take that of the returned one. The format is what the ending of `out` says:
+    that of a link's target may be another.
+
+    Raises:
+      ValueError: no file can be written there, or what is there is no regular file, such as a pipe or a device.
+    """
+    path = Path(os.path.realpath(out)) if Path(out).is_symlink() else Path(out)
     if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
         raise ValueError(f"{out} cannot be written; name a file in an existing folder that you may write to.")
+    if os.path.lexists(path) and not path.is_file():
+        raise ValueError(f"{out} is not a regular file, and would be replaced by one; name another file.")
     return path
 
 

@@ -95,12 +95,13 @@ class NumpyPolicy:
         """Read a policy file.
 
         Raises:
-          ValueError: the file is missing, damaged, of another format, or its parts do not fit together.
+          ValueError: the file is missing, damaged, of another format, holds a number that is not finite, or its parts
+            do not fit together.
         """
         content = _read(Path(path))
         try:
             policy = cls(**_fields(content))
-        except (TypeError, ValueError) as error:
+        except ValueError as error:
             raise ValueError(f"{path} is damaged: a part of it is not of its kind ({error}).") from error
         _check_fit(policy, Path(path))
         return policy
@@ -112,9 +113,19 @@ def shipped_policies() -> dict[str, Path]:
 
 
 def find(name: str) -> Path | None:
-    """The policy we ship as `name`, the file `name`, or the best policy of the run in that directory; None if none."""
+    """The policy we ship as `name`, the file `name`, or the best policy of the run in that directory; None if none.
+
+    Raises:
+      ValueError: there is such a file or run, and we ship a policy of the same name.
+    """
     path = Path(name) / "best.npz" if Path(name).is_dir() else Path(name)
-    return shipped_policies().get(name) or (path if path.is_file() else None)
+    shipped, local = shipped_policies().get(name), path if path.is_file() else None
+    if shipped and local:
+        raise ValueError(
+            f"{name} comes with the package and is here as well, as {local}; write ./{name} for the one here, or "
+            f"{shipped} for the other."
+        )
+    return shipped or local
 
 
 def save_policy(
@@ -179,12 +190,14 @@ def learner_policy(saved: NumpyPolicy) -> "Policy":
     """The same policy for `ppo.networks`, without noise: to be evaluated on an accelerator, or trained further.
 
     Raises:
-      ValueError: it was trained on another layout of the observation, or for another robot, than this version's.
+      ValueError: it was trained on another layout of the observation, with another bound on its inputs, or for another
+        robot, than this version's.
     """
     import jax.numpy as jnp
 
     from cassie_mjx import robot
     from cassie_mjx.envs import observation
+    from cassie_mjx.ppo.normalizer import CLIP
     from cassie_mjx.ppo.types import Normalizer, Policy
 
     differing = [line for line in saved.observation if line not in observation.describe()]
@@ -192,6 +205,11 @@ def learner_policy(saved: NumpyPolicy) -> "Policy":
         raise ValueError(
             f"The policy observes {'; '.join(differing) or len(saved.observation)}, which this version's observation "
             "has not; use the version it was trained with, named in its provenance."
+        )
+    if saved.clip != CLIP:
+        raise ValueError(
+            f"The policy bounds its inputs at {saved.clip:g} standard deviations, this version at {CLIP:g}; use the "
+            "version it was trained with, named in its provenance."
         )
     stride = saved.reference_qpos.shape[1:], saved.reference_qvel.shape[1:]
     if saved.joints != robot.ACTUATORS or stride != ((robot.NQ,), (robot.NV,)):
@@ -211,33 +229,70 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         raise ValueError(f"There is no policy file {path}.")
     try:
         with np.load(path, allow_pickle=False) as archive:
-            content = {name: archive[name] for name in archive.files}
+            content = {name: np.asarray(archive[name]) for name in archive.files}
     except _UNREADABLE as error:
         raise ValueError(f"{path} is damaged or no policy file: {error}.") from error
     if str(content.get("format")) != FORMAT:
         raise ValueError(f"{path} is not a {FORMAT}; make one with python -m cassie_mjx.export.")
-    if content.get("version") != VERSION:
+    if str(content.get("version")) != str(VERSION):
         raise ValueError(f"{path} has version {content.get('version')}; this program reads version {VERSION}.")
-    layers = int(content.get("layers", 0))
     expected = {"format", "version", "provenance", "layers", *_ARRAYS, *_NUMBERS, *_LISTS}
-    expected |= {f"{kind}_{i}" for kind in ("weight", "bias") for i in range(layers)}
+    expected |= {f"{kind}_{i}" for kind in ("weight", "bias") for i in range(_layers(content))}
     if content.keys() != expected:
         raise ValueError(f"{path} is damaged: {', '.join(sorted(expected ^ content.keys()))} missing or too much.")
     return content
 
 
 def _fields(content: dict[str, np.ndarray]) -> dict[str, Any]:
-    """What the arrays of a file mean, by the names of `NumpyPolicy`."""
-    fields: dict[str, Any] = {name: content[name] for name in _ARRAYS}
-    fields |= {name: float(content[name]) for name in _NUMBERS}
-    fields |= {name: tuple(content[name].tolist()) for name in _LISTS}
-    fields["weights"] = tuple((content[f"weight_{i}"], content[f"bias_{i}"]) for i in range(int(content["layers"])))
+    """What the arrays of a file mean, by the names of `NumpyPolicy`. Raise ValueError for one that means nothing."""
+    fields: dict[str, Any] = {name: _array(content, name) for name in _ARRAYS}
+    fields |= {name: _number(content, name) for name in _NUMBERS}
+    fields |= {name: _texts(content, name) for name in _LISTS}
+    layers = range(_layers(content))
+    fields["weights"] = tuple((_array(content, f"weight_{i}"), _array(content, f"bias_{i}")) for i in layers)
+    if _number(content, "layers") != len(layers) or not layers:
+        raise ValueError(f"layers is {content['layers']}, and there are weights of {len(layers)}")
+    if not (fields["std"] > 0).all():
+        raise ValueError("std is to be above 0")
     fields["provenance"] = json.loads(str(content["provenance"]))
+    if not isinstance(fields["provenance"], dict):
+        raise ValueError("provenance has no names")
     return fields
 
 
+def _layers(content: Mapping[str, np.ndarray]) -> int:
+    """Layers that a file has weights of."""
+    return sum(name.startswith("weight_") for name in content)
+
+
+def _array(content: Mapping[str, np.ndarray], name: str) -> np.ndarray:
+    """The array of that name. Raise ValueError unless it holds finite numbers."""
+    array = content[name]
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"{name} does not hold numbers")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} holds NaN or infinity")
+    return array
+
+
+def _number(content: Mapping[str, np.ndarray], name: str) -> float:
+    """The number of that name. Raise ValueError if it is none, or not finite."""
+    array = _array(content, name)
+    if array.ndim:
+        raise ValueError(f"{name} has shape {array.shape} and is to be one number")
+    return float(array)
+
+
+def _texts(content: Mapping[str, np.ndarray], name: str) -> tuple[str, ...]:
+    """The lines of text of that name. Raise ValueError if it holds anything else."""
+    array = content[name]
+    if array.ndim != 1 or array.dtype.kind != "U":
+        raise ValueError(f"{name} is not a list of texts")
+    return tuple(array.tolist())
+
+
 def _check_fit(policy: NumpyPolicy, path: Path) -> None:
-    """Raise ValueError unless the parts of a policy have sizes that fit together."""
+    """Raise ValueError unless the parts of a policy have sizes that fit together, and its reference samples."""
     last = re.match(r"\d+:(\d+) ", policy.observation[-1]) if policy.observation else None
     widths = [int(last[1]) if last else 0, *(bias.size for _, bias in policy.weights)]
     inputs, outputs = widths[0], widths[-1]
@@ -252,6 +307,12 @@ def _check_fit(policy: NumpyPolicy, path: Path) -> None:
     ):
         if array.shape != shape:
             raise ValueError(f"{path} does not fit together: {name} has shape {array.shape} instead of {shape}.")
+    qpos, qvel = policy.reference_qpos.shape, policy.reference_qvel.shape
+    if not len(qpos) == len(qvel) == 2 or qpos[0] != qvel[0] or qpos[0] == 0:
+        raise ValueError(
+            f"{path} does not fit together: reference_qpos has shape {qpos} and reference_qvel {qvel} instead of a row "
+            "of each for every sample."
+        )
     if outputs != len(policy.joints):
         raise ValueError(f"{path} does not fit together: {outputs} outputs for {len(policy.joints)} joints.")
 
@@ -280,7 +341,7 @@ def main(config: ExportConfig) -> None:
     partial.write_bytes(source.read_bytes())
     partial.replace(out)
     returns = {name: value for name, value in policy.provenance.items() if name.startswith("return_")}
-    print(f"{out}: " + ", ".join(f"{name} {value:.1f}" for name, value in returns.items()))
+    print(f"{config.out}: " + ", ".join(f"{name} {value:.1f}" for name, value in returns.items()))
 
 
 if __name__ == "__main__":

@@ -174,8 +174,14 @@ def _add_arrow(scene: mujoco.MjvScene, pelvis: np.ndarray, push: np.ndarray) -> 
 
 
 def write_video(path: Path, frames: Iterable[np.ndarray], width: int, height: int, fps: float) -> None:
-    """Write frames [height, width, 3], uint8, whole or not at all, in the format that the suffix of `path` names."""
-    partial = path.with_name(path.name + ".partial")
+    """Write frames [height, width, 3], uint8, whole or not at all, in the format that the suffix of `path` names.
+
+    Raises:
+      ValueError: no regular file can be written there; see `cli.check_writable`.
+      OSError: ffmpeg failed.
+    """
+    final = cli.check_writable(str(path))
+    partial = final.with_name(final.name + ".partial")
     source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {fps} -i -".split()
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *source, *ENCODINGS[path.suffix], str(partial)]
     try:
@@ -185,23 +191,23 @@ def write_video(path: Path, frames: Iterable[np.ndarray], width: int, height: in
                 ffmpeg.stdin.write(frame)
         if ffmpeg.returncode:
             raise OSError(f"{path} has not been written: ffmpeg failed with status {ffmpeg.returncode}.")
-        partial.replace(path)
+        partial.replace(final)
     finally:
         partial.unlink(missing_ok=True)
 
 
 def main(config: RenderConfig) -> None:
     """Film the walk, and say how it went."""
-    out = cli.check_writable(config.out)
+    cli.check_writable(config.out)
     subject, console = config.subject(), Console(stderr=True)
     with open_renderer(load_scene(config.terrain), config.width, config.height) as renderer:
         with console.status("walking"):
             shots = list(film(subject, config.trial, config.phase, config.push_at, config.fps))
         drawn = track(shots, "drawing", console=console, transient=True)
         frames = draw(renderer, drawn, config.camera, config.terrain)
-        write_video(out, frames, config.width, config.height, config.fps)
+        write_video(Path(config.out), frames, config.width, config.height, config.fps)
     fell_s = shots[-1].fell_s
-    console.print(f"{out}: {subject.name} {'stayed up' if fell_s is None else f'fell after {fell_s:.2f} s'}.")
+    console.print(f"{config.out}: {subject.name} {'stayed up' if fell_s is None else f'fell after {fell_s:.2f} s'}.")
 
 
 if __name__ == "__main__":

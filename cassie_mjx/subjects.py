@@ -53,7 +53,7 @@ def resolve(name: str, speed: str | None = None, schedule: str | None = None) ->
       schedule: how a blend goes from its first policy to its last, one of `SCHEDULES`.
 
     Raises:
-      ValueError: there is no such subject, or it takes no such speed or schedule.
+      ValueError: there is no such subject, or two; it takes no such speed or schedule; or its file is damaged.
     """
     if name.startswith(BLEND_PREFIX) != (schedule is not None):
         known = " or ".join(SCHEDULES)

@@ -112,7 +112,7 @@ def initial_policy(config: TrainConfig) -> Policy | None:
     """The policy that `config.init` names, if it names one.
 
     Raises:
-      ValueError: there is none, its file is damaged, or its layers or inputs are not those of this run.
+      ValueError: there is none, or two; its file is damaged, or its layers or inputs are not those of this run.
     """
     if config.init is None:
         return None

@@ -138,7 +138,7 @@ def main(config: InterpolationConfig) -> None:
     provenance = cli.provenance(**asdict(config), subject={policy.name: policy.provenance for policy in policies})
     cli.write_json(paths[0], {"rows": rows, "rides": curves, "provenance": provenance})
     if config.plot:
-        draw(paths[1], rides)
+        draw(Path(config.plot), rides)
 
 
 if __name__ == "__main__":

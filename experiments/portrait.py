@@ -28,14 +28,14 @@ class PortraitConfig:
 
 def main(config: PortraitConfig) -> None:
     """Render one pose of the reference motion."""
-    out = cli.check_writable(config.out)
+    cli.check_writable(config.out)
     scene = load_scene()
     data = mujoco.MjData(scene)
     data.qpos[:] = resolve("walk").qpos[config.sample]
     mujoco.mj_forward(scene, data)
     with open_renderer(scene, config.width, config.height) as renderer:
         renderer.update_scene(data, camera=config.camera)
-        imsave(out, renderer.render())
+        imsave(config.out, renderer.render())
 
 
 if __name__ == "__main__":

@@ -265,13 +265,14 @@ def main(config: ReportConfig) -> None:
     if not folder.is_dir():
         raise ValueError(f"results={folder} is not a folder; name the one with the result files.")
     Path(config.out).parent.mkdir(exist_ok=True)
-    texts = {cli.check_writable(config.out): whole_page(folder)}
+    paths = {config.out: cli.check_writable(config.out)}
+    texts = {config.out: whole_page(folder)}
     if config.readme:
-        path = cli.check_writable(config.readme)
-        texts[path] = with_block(path.read_text(), block(folder))
-    for path, text in texts.items():
-        cli.write_text(path, text)
-        Console(stderr=True).print(f"{path}, {len(text) / 1e3:.0f} kB")
+        paths[config.readme] = cli.check_writable(config.readme)
+        texts[config.readme] = with_block(paths[config.readme].read_text(), block(folder))
+    for name, text in texts.items():
+        cli.write_text(paths[name], text)
+        Console(stderr=True).print(f"{name}, {len(text) / 1e3:.0f} kB")
 
 
 if __name__ == "__main__":

@@ -153,7 +153,7 @@ def main(config: SpeedsConfig) -> None:
     result = {"rows": rows, "provenance": provenance}
     cli.write_json(paths[0], result | ({"profile": walk.curve()} if walk else {}))
     if config.plot:
-        draw(paths[1], rows, walk)
+        draw(Path(config.plot), rows, walk)
 
 
 if __name__ == "__main__":

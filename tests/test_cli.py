@@ -1,9 +1,12 @@
 """Command lines as dataclasses, and results with their provenance."""
 
 import json
+import os
+import re
 import subprocess
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -23,6 +26,8 @@ def test_parse_reads_values_of_their_types():
         assert cli.parse(Example, ["robots=5", rates]) == Example(robots=5, rates=(1, 2, 3))
     assert cli.parse(Example, ["rates=7"]) == Example(rates=(7,))
     assert cli.parse(Example, []) == Example()
+    # As the sentence about a value that is no YAML advises.
+    assert cli.parse(Example, ["out='@a.json'"]) == Example(out="@a.json")
 
 
 @pytest.mark.parametrize(
@@ -31,11 +36,22 @@ def test_parse_reads_values_of_their_types():
         ("robot=5", "'robot' is not a key; the keys are out, robots, rates"),
         ("robots", "'robots' is not of the form key=value"),
         ("robots=many", "robots=many: Value 'many' of type 'str' could not be converted to Integer"),
+        (
+            "rates=[500,1000",
+            "'rates=[500,1000' has a value that is no YAML (expected ',' or ']', but got '<stream end>'); close",
+        ),
+        ("rates=500],1000", "'rates=500],1000' has a value that is no YAML (expected"),
+        (
+            "out=@a.json",
+            "'out=@a.json' has a value that is no YAML (found character '@' that cannot start any token); close",
+        ),
+        ("out=\a", r"'out=\x07' has a value that is no YAML (unacceptable character #x0007"),
     ],
 )
 def test_parse_refuses_in_one_sentence(argument, sentence):
-    with pytest.raises(ValueError, match=sentence):
+    with pytest.raises(ValueError, match=re.escape(sentence)) as raised:
         cli.parse(Example, [argument])
+    assert len(str(raised.value).splitlines()) == 1
 
 
 def test_a_command_ends_with_one_sentence_and_a_status(tmp_path):
@@ -44,6 +60,46 @@ def test_a_command_ends_with_one_sentence_and_a_status(tmp_path):
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith(f"error: {tmp_path}/missing/a.json cannot be written")
     assert "Traceback" not in done.stderr
+
+
+def test_ctrl_c_ends_a_command_with_one_word(monkeypatch, capsys):
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys, "argv", ["example"])
+    with pytest.raises(SystemExit) as ended:
+        cli.run(interrupted, Example)
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "Interrupted.\n"
+
+
+def test_a_link_is_followed_to_its_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("store").mkdir()
+    Path("a.json").symlink_to("store/b")
+    for there in (None, "old"):
+        if there:
+            Path("store/b").write_text(there)
+        cli.write_text(cli.check_writable("a.json"), "new")
+        assert Path("a.json").is_symlink()
+        assert Path("store/b").read_text() == "new"
+    Path("folder").symlink_to("store")
+    for plain in ("c.json", "store/b", "folder/b", "folder/c"):
+        assert cli.check_writable(plain) == Path(plain)
+
+
+def test_what_is_no_regular_file_is_refused(tmp_path):
+    pipe, link, loop, nowhere = (tmp_path / name for name in ("pipe", "link", "loop", "nowhere"))
+    os.mkfifo(pipe)
+    link.symlink_to(pipe)
+    loop.symlink_to(loop)
+    nowhere.symlink_to(tmp_path / "missing" / "a.json")
+    for path in (pipe, link, loop):
+        with pytest.raises(ValueError, match=f"^{path} is not a regular file, and would be replaced by one; name"):
+            cli.check_writable(str(path))
+    for path in (tmp_path, nowhere):
+        with pytest.raises(ValueError, match=f"^{path} cannot be written; name a file in an existing folder"):
+            cli.check_writable(str(path))
 
 
 def test_results_are_written_whole_with_their_provenance(tmp_path):

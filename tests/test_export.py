@@ -1,8 +1,10 @@
 """A policy as a file: the same actions on NumPy alone, and nothing damaged or foreign gets in."""
 
+import re
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -39,6 +41,12 @@ def path(policy, tmp_path):
     motion = reference.stretch(reference.resolve("walk"), 2.0)
     save_policy(path, policy, motion, 2.0, 0.5, {"return_weighted": 250.0, "commit": "abc"})
     return path
+
+
+def rewrite(path, **change):
+    with np.load(path) as archive:
+        content = dict(archive)
+    np.savez(path, **(content | change))
 
 
 def test_numpy_acts_as_jax_does(policy, path, seen):
@@ -116,13 +124,42 @@ def test_a_file_cut_short_is_refused(path):
         ({"clip": "wide"}, "a part of it is not of its kind"),
         ({"provenance": "{"}, "a part of it is not of its kind"),
         ({"song": 1}, "song missing or too much"),
+        ({"version": [1, 1]}, r"has version \[1 1\]; this program reads version 1"),
+        ({"layers": [3, 3]}, r"not of its kind \(layers has shape \(2,\) and is to be one number\)"),
+        ({"layers": 4}, r"not of its kind \(layers is 4, and there are weights of 3\)"),
+        ({"observation": [1, 2]}, r"not of its kind \(observation is not a list of texts\)"),
+        ({"d_gain": ["5"] * 10}, r"not of its kind \(d_gain does not hold numbers\)"),
+        ({"weight_0": [["a"]]}, r"not of its kind \(weight_0 does not hold numbers\)"),
+        ({"std": np.zeros(80)}, r"not of its kind \(std is to be above 0\)"),
+        ({"provenance": "[]"}, r"not of its kind \(provenance has no names\)"),
+        (
+            {"reference_qvel": np.zeros((25, 32))},
+            r"\(22, 35\) and reference_qvel \(25, 32\) instead of a row of each",
+        ),
+        (
+            {"reference_qpos": np.zeros(35), "reference_qvel": np.zeros(32)},
+            r"\(35,\) and reference_qvel \(32,\) instead",
+        ),
+        (
+            {"reference_qpos": np.zeros((0, 35)), "reference_qvel": np.zeros((0, 32))},
+            r"qvel \(0, 32\) instead of a row",
+        ),
     ],
 )
 def test_parts_that_do_not_fit_are_refused(path, change, sentence):
+    rewrite(path, **change)
+    with pytest.raises(ValueError, match=f"^{re.escape(str(path))} .*{sentence}"):
+        NumpyPolicy.load(path)
+
+
+@pytest.mark.parametrize("value", [np.nan, -np.inf])
+@pytest.mark.parametrize("name", ["weight_1", "bias_2", "mean", "std", "reference_qpos", "p_gain", "clip", "samples"])
+def test_what_is_not_finite_is_refused(path, name, value):
     with np.load(path) as archive:
-        content = dict(archive)
-    np.savez(path, **(content | change))
-    with pytest.raises(ValueError, match=sentence):
+        array = archive[name].copy()
+    array.flat[-1] = value
+    rewrite(path, **{name: array})
+    with pytest.raises(ValueError, match=rf"policy\.npz is damaged: .* \({name} holds NaN or infinity\)"):
         NumpyPolicy.load(path)
 
 
@@ -133,11 +170,34 @@ def test_another_observation_is_refused(path):
         learner_policy(other)
 
 
+def test_another_bound_on_the_inputs_is_refused(path):
+    saved = NumpyPolicy.load(path)
+    assert learner_policy(replace(saved, clip=normalizer.CLIP))
+    with pytest.raises(ValueError, match="bounds its inputs at 5 standard deviations, this version at 10; use the"):
+        learner_policy(replace(saved, clip=5.0))
+
+
 def test_wrong_inputs_are_refused(path, tmp_path):
     with pytest.raises(ValueError, match=r"shape \(79,\) was given; this policy takes 80"):
         NumpyPolicy.load(path)(np.zeros(79))
     with pytest.raises(ValueError, match="no policy file"):
         NumpyPolicy.load(tmp_path / "missing.npz")
+
+
+@pytest.mark.parametrize("local", ["1x", "1x/best.npz"])
+def test_a_name_of_ours_that_is_here_as_well_is_refused(path, tmp_path, monkeypatch, local):
+    shipped = export.shipped_policies()["1x"]
+    monkeypatch.chdir(tmp_path)
+    assert export.find("1x") == shipped
+    assert export.find("here") is None
+    there = tmp_path / local
+    there.parent.mkdir(exist_ok=True)
+    assert export.find("1x") == shipped
+    path.rename(there)
+    with pytest.raises(ValueError, match=f"^1x comes with .*, as {local}; write ./1x for the one here, or {shipped} "):
+        export.find("1x")
+    assert export.find("./1x") == Path(local)
+    assert export.find(str(shipped)) == shipped
 
 
 def test_export_copies_a_checked_policy(path, tmp_path, capsys):

@@ -1,5 +1,6 @@
 """Pictures and videos, without a screen."""
 
+import os
 import subprocess
 from types import SimpleNamespace
 
@@ -124,6 +125,18 @@ def test_a_failing_film_leaves_what_was_there(tmp_path):
     with pytest.raises(ValueError, match="the film tore"):
         render.write_video(tmp_path / "a.mp4", frames(), 48, 32, 25.0)
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.mp4", "precious")]
+
+
+def test_a_film_goes_where_its_link_leads_in_the_format_of_its_name(tmp_path):
+    (tmp_path / "store").mkdir()
+    (tmp_path / "a.gif").symlink_to("store/b")
+    render.write_video(tmp_path / "a.gif", 3 * [np.zeros((32, 48, 3), np.uint8)], 48, 32, 25.0)
+    assert (tmp_path / "a.gif").is_symlink()
+    assert (tmp_path / "store" / "b").read_bytes().startswith(b"GIF8")
+    os.mkfifo(tmp_path / "b.gif")
+    with pytest.raises(ValueError, match=r"b\.gif is not a regular file"):
+        render.write_video(tmp_path / "b.gif", [], 48, 32, 25.0)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["a.gif", "b", "b.gif", "store"]
 
 
 def test_an_encoder_that_fails_is_noticed(tmp_path, monkeypatch):

@@ -97,8 +97,13 @@ def test_nothing_to_measure_is_said_at_once(arguments, why):
 
 def test_the_file_says_which_policies_were_blended(tmp_path, monkeypatch):
     monkeypatch.setattr(interpolation, "ride", lambda blend: STOOD)
-    config = InterpolationConfig(("1x", "1x", "1x", "1x", "1x"), terrain=False, out=str(tmp_path / "a.json"))
-    interpolation.main(config)
+    out, plot = tmp_path / "a.json", tmp_path / "a.png"
+    for path in (out, plot):
+        path.symlink_to(f"{path.stem} {path.suffix[1:]} without a suffix")
+    policies = ("1x", "1x", "1x", "1x", "1x")
+    interpolation.main(InterpolationConfig(policies, terrain=False, out=str(out), plot=str(plot)))
+    assert out.is_symlink()
+    assert plot.read_bytes().startswith(b"\x89PNG")
     content = json.loads((tmp_path / "a.json").read_text())
     assert list(content["rides"]) == ["blend:1x,1x schedule=ramp", "blend:1x,1x,1x,1x,1x schedule=ramp"]
     policy = export.NumpyPolicy.load(export.shipped_policies()["1x"])
