@@ -292,7 +292,7 @@ def _walks(result: Result) -> list[tuple[str, ...]]:
         starts = [row for row in own if row.get("quantity") == "starts_up"]
         if told is not None and ups:
             paper = PAPER_SPEEDS.get(subject, NO_FIGURE)
-            least = "at least " if len(ups) > 1 else ""
+            least = "at least " if min(ups) < max(ups) else ""
             ours = f"told {told:.2f} m/s: {span(speeds, 2) if speeds else NO_FIGURE}, up {least}{min(ups):g} of 10 s"
             plain = result.values("return_plain", subject)
             ours += f", return {span(plain, 1)} by the plain reward" if plain else ""
