@@ -81,9 +81,7 @@ DEFAULT = Variant("1x", {})
 OTHER_SPEEDS = tuple(Variant(speed, {"speed": speed, "init": "1x"}) for speed in ("0x", "2x", "3x", "4x"))
 
 ROBUST = {"walk": "robust", "ppo.final_action_std": "0.05"}
-# Less that nothing could bear, less noise, and steps that get smaller.
-GENTLER = {"walk.disturbance.push_n": "250", "walk.disturbance.terrain_m": "0.18"}
-GENTLER |= {"ppo.action_std": "0.05", "ppo.actor_schedule": "linear"}
+GENTLER = {"walk.disturbance.push_n": "250", "ppo.action_std": "0.05"}
 
 LATER = {"init": None, "ppo.privileged_critic": False, "ppo.final_action_std": None}
 LATER |= {"walk.x_limit_m": None, "walk.damping": 1.0, "walk.start_velocity_mps": 0, "walk.start_offset_m": 0}

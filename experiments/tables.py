@@ -14,7 +14,7 @@ PROVENANCE = ("command", "commit", "date", "hardware")
 NO_FIGURE = "–"
 WALK_S = 10.0
 EVALUATE = "`python -m cassie_mjx.evaluate policy=NAME`, or `policy=runs/studies/NAME-seed1` for seed 1,"
-RETURNS = "A controller imitates nothing, so it has no return."
+RETURNS = "`policy=controller:NAME` is a controller; it imitates nothing, so it has no return."
 
 
 @dataclass(frozen=True)

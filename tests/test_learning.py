@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -12,6 +13,7 @@ from cassie_mjx.training import TrainConfig
 from experiments import learning
 from experiments.learning import ACTOR, LATER, STUDIES, LearningConfig, Variant, expected, main, summarize, to_goal
 
+RESULTS = Path(__file__).parents[1] / "experiments" / "results"
 TWO_SEEDS = Variant("tenth", {"ppo": "paper", ACTOR: "1e-4", "walk.early_end_reward": "null"}, (0, 1))
 
 
@@ -160,3 +162,14 @@ def test_an_unknown_study_is_refused():
     known = "walking, make_train, starts, reward, rate, .*, paper"
     with pytest.raises(ValueError, match=f"study='song' is not known; choose one of {known}"):
         LearningConfig("song")
+
+
+@pytest.mark.parametrize("study", sorted(path.stem for path in RESULTS.glob("*.json") if path.stem in STUDIES))
+def test_what_was_measured_is_what_the_study_is_now(study):
+    runs = json.loads((RESULTS / f"{study}.json").read_text())["runs"]
+    assert [(run["variant"], run["seed"]) for run in runs] == [(v.name, s) for v in STUDIES[study] for s in v.seeds]
+    variants = {variant.name: variant for variant in STUDIES[study]}
+    for run in runs:
+        wanted = expected(variants[run["variant"]], run["seed"], Path("runs/studies"))
+        found = LATER | run["config"]
+        assert {key: found.get(key) for key in wanted} == wanted

@@ -95,6 +95,38 @@ def learned_at_1_khz():
     yield f"at 500 Hz are at {min(found for _, found in slow):.0f} to {max(found for _, found in slow):.0f} (each"
 
 
+def learned_at_other_speeds():
+    """What other speeds take, and 4x from scratch."""
+    runs = json.loads((ROOT / "experiments" / "results" / "learning_speeds.json").read_text())["runs"]
+    minutes = [run["curve"]["train_s"][-1] / 60 for run in runs if run["variant"] in ("0x", "2x", "3x", "4x")]
+    assert len(minutes) == 12
+    assert all(run["samples_to_250_plain"] for run in runs)
+    yield f"a whole run takes {min(minutes):.0f} to {max(minutes):.0f} min"
+    *warm, cold = json.loads((ROOT / "experiments" / "results" / "warm_start.json").read_text())["runs"]
+    assert cold["variant"] == "4x-from-scratch"
+    samples, returns = ([run[key] for run in warm] for key in ("samples_to_250_plain", "return_plain"))
+    yield f"after {min(samples) / 1e3:.0f} to {max(samples) / 1e3:.0f} thousand samples and has"
+    yield f"{min(returns):.0f} to {max(returns):.0f} in the"
+    yield f"after {cold['samples_to_250_plain'] / 1e3:.0f} thousand, and has {cold['return_plain']:.0f}."
+    weighted = [[run["return_weighted"] for run in runs if run["variant"] == speed] for speed in ("3x", "4x")]
+    (slow, fast), (least, most) = ((min(found), max(found)) for found in weighted)
+    yield f"3x comes to {slow:.0f} to {fast:.0f} and 4x to {least:.0f} to {most:.0f}"
+
+
+def learned_under_disturbances():
+    """What the robust policy takes, in samples and time."""
+    runs = json.loads((ROOT / "experiments" / "results" / "robust.json").read_text())["runs"]
+    first, second = ([run for run in runs if run["variant"] == name] for name in ("1x-robust-first", "1x-robust"))
+    samples = [{run["curve"]["samples"][-1] for run in stage} for stage in (first, second)]
+    (before,), (after,) = samples
+    minutes = [sum(run["curve"]["train_s"][-1] for run in pair) / 60 for pair in zip(first, second, strict=True)]
+    assert round(min(minutes)) == round(max(minutes))
+    yield f"({before / 1e6:.1f} M and {after / 1e6:.1f} M samples, {min(minutes):.0f} min"
+    evaluations = [f"evaluate/1x-robust-seed{seed}" for seed in range(3)]
+    weakest = [rows(name, quantity="push_backward_N")[0]["value"] for name in evaluations]
+    yield f"backward {min(weakest):.0f} to {max(weakest):.0f} N"
+
+
 def verdicts():
     """On how many trials the engines agree."""
     (everything,) = rows("verdicts", kind="all")
@@ -105,6 +137,14 @@ def verdicts():
     steep = [one for one in content["differing"] if one["trial"]["terrain"] == 0.25]
     assert {one["survived_on"] for one in steep} == {"mjx"}
     yield f"{len(steep)} of them at h = 0.25 m"
+
+
+def mapped():
+    """How long the push map takes, and what share of it is survived."""
+    result = json.loads((ROOT / "experiments" / "results" / "map" / "1x-seed0.json").read_text())
+    (survived,) = rows("map/1x-seed0", quantity="push_map_survived")
+    yield f"map of 1x, {survived['n']:,} trials, takes {result['provenance']['seconds']['map']:.0f} s on"
+    yield f"{100 * survived['value']:.0f}% of them are survived"
 
 
 def on_both_engines():
@@ -165,7 +205,10 @@ def test_what_a_page_links_to_exists(page):
         *learned_alone(),
         *learned_from_the_plain_reward(),
         *learned_at_1_khz(),
+        *learned_at_other_speeds(),
+        *learned_under_disturbances(),
         *verdicts(),
+        *mapped(),
         *on_both_engines(),
         *blended(),
         *tuned(),
