@@ -175,9 +175,7 @@ def check(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
     if not is_finished(folder):
         raise ValueError(f"{folder} holds no finished training; `python -m experiments.learning` goes on with it.")
     held = json.loads((folder / "config.json").read_text())
-    wanted = expected(variant, seed, folder.parent)
-    found = LATER | held["config"]
-    wrong = [f"{key}={found.get(key)}" for key, value in wanted.items() if found.get(key) != value]
+    wrong = deviations(held["config"], variant, seed, folder.parent)
     if wrong:
         raise ValueError(f"{folder} was trained with {', '.join(wrong)}, unlike {variant.name}; move it away.")
     return held
@@ -220,6 +218,13 @@ def expected(variant: Variant, seed: int, runs: Path) -> dict[str, Any]:
     default = comparable(asdict(TrainConfig(**presets)))
     chosen = {key: OmegaConf.select(OmegaConf.from_dotlist([f"{key}={value}"]), key) for key, value in settings.items()}
     return json.loads(json.dumps(default | chosen))
+
+
+def deviations(config: dict[str, Any], variant: Variant, seed: int, runs: Path) -> list[str]:
+    """What a recorded configuration has otherwise than a variant's run in the folder `runs`, as key=value."""
+    found = LATER | config
+    wanted = expected(variant, seed, runs)
+    return [f"{key}={found.get(key)}" for key, value in wanted.items() if found.get(key) != value]
 
 
 def to_goal(curve: dict[str, list[float]], reward: str, quantity: str) -> float | None:

@@ -10,9 +10,12 @@ ROOT = Path(__file__).parents[1]
 TEXT = " ".join((ROOT / "README.md").read_text().split())
 
 
+def read(result):
+    return json.loads((ROOT / "experiments" / "results" / f"{result}.json").read_text())
+
+
 def rows(result, **wanted):
-    content = json.loads((ROOT / "experiments" / "results" / f"{result}.json").read_text())
-    return [row for row in content["rows"] if wanted.items() <= row.items()]
+    return [row for row in read(result)["rows"] if wanted.items() <= row.items()]
 
 
 def loops(engine, iterations, physics_hz=2000, loops="ours"):
@@ -50,7 +53,7 @@ def learned():
     found = {row["quantity"]: row for row in rows("walking", variant="1x")}
     best, plain = found["return_weighted"], found["return_plain"]
     samples, seconds = found["samples_to_250_weighted"], found["train_s_to_250_weighted"]
-    content = json.loads((ROOT / "experiments" / "results" / "walking.json").read_text())
+    content = read("walking")
     total = [run["curve"]["train_s"][-1] for run in content["runs"]]
     yield f"{samples['n']} of {samples['runs']} runs learned"
     yield f"{samples['min'] / 1e3:.0f} to {samples['max'] / 1e3:.0f} thousand samples"
@@ -61,7 +64,7 @@ def learned():
 
 def learned_alone():
     """How long `make train` takes."""
-    (run,) = json.loads((ROOT / "experiments" / "results" / "make_train.json").read_text())["runs"]
+    (run,) = read("make_train")["runs"]
     yield f"took {run['train_s_to_250_weighted']:.0f} s to 250 and {run['curve']['train_s'][-1]:.0f} s in all"
 
 
@@ -74,7 +77,7 @@ def learned_from_the_plain_reward():
     yield f"{weighted['min']:.0f} to {weighted['max']:.0f} by the weighted one, and"
     yield f"{slow['min'] / 1e3:.0f} to {slow['max'] / 1e3:.0f} thousand samples, where the default takes"
     yield f"{fast['mean'] / 1e3:.0f} thousand. The"
-    runs = json.loads((ROOT / "experiments" / "results" / "reward.json").read_text())["runs"]
+    runs = read("reward")["runs"]
     ended = {
         name: [int(sum(r["curve"]["low_reward"])) for r in runs if r["variant"] == name] for name in ("1x-plain", "1x")
     }
@@ -84,7 +87,7 @@ def learned_from_the_plain_reward():
 
 def learned_at_1_khz():
     """What physics at 1 kHz in training comes to, in samples and in time."""
-    runs = json.loads((ROOT / "experiments" / "results" / "rate.json").read_text())["runs"]
+    runs = read("rate")["runs"]
     curves = [zip(run["curve"]["return_weighted"], run["curve"]["train_s"], strict=True) for run in runs]
     after = [max(weighted for weighted, train_s in curve if train_s <= 500) for curve in curves]
     *slow, fine = zip(runs, after, strict=True)
@@ -97,12 +100,12 @@ def learned_at_1_khz():
 
 def learned_at_other_speeds():
     """What other speeds take, and 4x from scratch."""
-    runs = json.loads((ROOT / "experiments" / "results" / "learning_speeds.json").read_text())["runs"]
+    runs = read("learning_speeds")["runs"]
     minutes = [run["curve"]["train_s"][-1] / 60 for run in runs if run["variant"] in ("0x", "2x", "3x", "4x")]
     assert len(minutes) == 12
     assert all(run["samples_to_250_plain"] for run in runs)
     yield f"a whole run takes {min(minutes):.0f} to {max(minutes):.0f} min"
-    *warm, cold = json.loads((ROOT / "experiments" / "results" / "warm_start.json").read_text())["runs"]
+    *warm, cold = read("warm_start")["runs"]
     assert cold["variant"] == "4x-from-scratch"
     samples, returns = ([run[key] for run in warm] for key in ("samples_to_250_plain", "return_plain"))
     yield f"after {min(samples) / 1e3:.0f} to {max(samples) / 1e3:.0f} thousand samples and has"
@@ -115,7 +118,7 @@ def learned_at_other_speeds():
 
 def learned_under_disturbances():
     """What the robust policy takes, in samples and time."""
-    runs = json.loads((ROOT / "experiments" / "results" / "robust.json").read_text())["runs"]
+    runs = read("robust")["runs"]
     first, second = ([run for run in runs if run["variant"] == name] for name in ("1x-robust-first", "1x-robust"))
     samples = [{run["curve"]["samples"][-1] for run in stage} for stage in (first, second)]
     (before,), (after,) = samples
@@ -133,7 +136,7 @@ def verdicts():
     assert everything["differ_elsewhere"] == 0
     yield f"Of {everything['cells']} trials of 1x chosen"
     yield f"{everything['same']} end alike on both engines, and the other {everything['differ_at_border']} are at a"
-    content = json.loads((ROOT / "experiments" / "results" / "verdicts.json").read_text())
+    content = read("verdicts")
     steep = [one for one in content["differing"] if one["trial"]["terrain"] == 0.25]
     assert {one["survived_on"] for one in steep} == {"mjx"}
     yield f"{len(steep)} of them at h = 0.25 m"
@@ -141,7 +144,7 @@ def verdicts():
 
 def mapped():
     """How long the push map takes, and what share of it is survived."""
-    result = json.loads((ROOT / "experiments" / "results" / "map" / "1x-seed0.json").read_text())
+    result = read("map/1x-seed0")
     (survived,) = rows("map/1x-seed0", quantity="push_map_survived")
     yield f"map of 1x, {survived['n']:,} trials, takes {result['provenance']['seconds']['map']:.0f} s on"
     yield f"{100 * survived['value']:.0f}% of them are survived"
@@ -175,7 +178,7 @@ def blended():
 def tuned():
     """What the tuner found, beside the presets."""
     for preset in ("compliant", "stiff"):
-        content = json.loads((ROOT / "experiments" / "results" / f"tune_{preset}.json").read_text())
+        content = read(f"tune_{preset}")
         found, shipped = (content["scores"][name]["cost"] for name in ("found", "shipped"))
         yield f"{found:.3f} against {shipped:.3f} for `{preset}` in {content['provenance']['generations']}"
 
