@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -29,9 +29,35 @@ CHOICES = ("best", "last")
 _ARRAYS = ("mean", "std", "reference_qpos", "reference_qvel", "p_gain", "d_gain")
 _NUMBERS = ("clip", "samples", "speed", "reference_stride_length")
 _LISTS = ("joints", "observation")
+_MIRROR = ("mirror_observation", "mirror_action", "mirror_sides")
+"""What the file of a policy that learned one step alone has on top."""
 
 # What NumPy and zipfile raise on content that is none of theirs.
 _UNREADABLE = (OSError, EOFError, ValueError, TypeError, KeyError, RuntimeError, zipfile.BadZipFile, zlib.error)
+
+
+class Mirror(NamedTuple):
+    """How a policy that learned one step alone takes the other: it sees and acts as in a mirror.
+
+    A reflection is a list of signed places, counted from 1: the image has at i what was at |place i|, with its sign.
+    """
+
+    observation: np.ndarray
+    """[80], the reflection of an observation."""
+    action: np.ndarray
+    """[10], the reflection of an action."""
+    sides: np.ndarray
+    """[2], two places in an observation, counted from 1: in the other step the first holds less than the second."""
+
+    def other_step(self, seen: np.ndarray) -> np.ndarray:
+        """Which of the observations [..., 80] are of the other step, [..., 1]."""
+        left, right = self.sides - 1
+        return (seen[..., left] < seen[..., right])[..., None]
+
+    @staticmethod
+    def reflect(places: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """The reflection of values [..., n]."""
+        return values[..., abs(places) - 1] * np.sign(places)
 
 
 @dataclass(frozen=True)
@@ -69,6 +95,8 @@ class NumpyPolicy:
     """A line for each group of the observation: slice, content, unit."""
     provenance: Mapping[str, Any]
     """Where it came from: command, commit, versions, returns."""
+    mirror: Mirror | None = None
+    """How it takes the step that it did not learn, if it learned one alone."""
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Return the residuals on the reference angles of the active joints, rad, [10] or [B, 10].
@@ -84,6 +112,13 @@ class NumpyPolicy:
             raise ValueError(
                 f"An observation of shape {x.shape} was given; this policy takes {len(self.mean)} numbers."
             )
+        if self.mirror is None:
+            return self._mode(x)
+        other = self.mirror.other_step(x)
+        action = self._mode(np.where(other, self.mirror.reflect(self.mirror.observation, x), x))
+        return np.where(other, self.mirror.reflect(self.mirror.action, action), action)
+
+    def _mode(self, x: np.ndarray) -> np.ndarray:
         x = ((x - self.mean) / self.std).clip(-self.clip, self.clip)
         *hidden, (output, output_bias) = self.weights
         for weight, bias in hidden:
@@ -135,6 +170,7 @@ def save_policy(
     speed: float,
     damping: float,
     provenance: Mapping[str, Any],
+    symmetric: bool = False,
 ) -> None:
     """Write a policy file, whole or not at all.
 
@@ -145,6 +181,7 @@ def save_policy(
       speed: by which factor.
       damping: factor on the D gains of the PD law that holds its targets.
       provenance: anything JSON can hold.
+      symmetric: whether it learned one step alone, the other being its mirror image.
 
     Raises:
       OSError: it cannot be written; a file of that name is as it was.
@@ -174,6 +211,9 @@ def save_policy(
         "d_gain": damping * robot.D_GAIN,
         "observation": observation.describe(),
     }
+    if symmetric:
+        mirrored = observation.MIRROR, robot.mirror_active(1 + np.arange(robot.NU)), 1 + observation.REFERENCE_HIP_PITCH
+        arrays |= dict(zip(_MIRROR, mirrored, strict=True))
     partial = path.with_name(path.name + ".partial")
     try:
         with partial.open("wb") as file:
@@ -238,6 +278,7 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         raise ValueError(f"{path} has version {content.get('version')}; this program reads version {VERSION}.")
     expected = {"format", "version", "provenance", "layers", *_ARRAYS, *_NUMBERS, *_LISTS}
     expected |= {f"{kind}_{i}" for kind in ("weight", "bias") for i in range(_layers(content))}
+    expected |= set(_MIRROR) if _MIRROR[0] in content else set()
     if content.keys() != expected:
         raise ValueError(f"{path} is damaged: {', '.join(sorted(expected ^ content.keys()))} missing or too much.")
     return content
@@ -255,6 +296,8 @@ def _fields(content: dict[str, np.ndarray]) -> dict[str, Any]:
     if not (fields["std"] > 0).all():
         raise ValueError("std is to be above 0")
     fields["provenance"] = json.loads(str(content["provenance"]))
+    if _MIRROR[0] in content:
+        fields["mirror"] = Mirror(*(_array(content, name) for name in _MIRROR))
     if not isinstance(fields["provenance"], dict):
         raise ValueError("provenance has no names")
     return fields

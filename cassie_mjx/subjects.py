@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -204,7 +205,8 @@ class PolicySubject:
             if saved.speed == 0:
                 raise ValueError(f"policy={name} with speed={speed}: a reference at 0x has no speed to be stretched.")
             self.motion = stretch(self.motion, speed_factor(speed) / saved.speed)
-        self.mode = jax.jit(lambda seen: networks.mode(policy, seen))
+        mode = partial(networks.mode, policy)
+        self.mode = jax.jit(observation.symmetric(mode) if saved.mirror else mode)
         self._target = jax.jit(self._pd_target)
 
     def start(self, physics: Physics, phases: np.ndarray) -> Walker:

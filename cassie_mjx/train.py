@@ -10,6 +10,7 @@ import sys
 import time
 from collections import Counter
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
@@ -19,6 +20,7 @@ from rich.console import Console
 
 from cassie_mjx import checkpoint, cli, devices, diagnosis, hydra_cli, reference, run_directory
 from cassie_mjx.config import speed_factors
+from cassie_mjx.envs import observation
 from cassie_mjx.export import save_policy
 from cassie_mjx.metrics import JsonLines, TensorBoard, Terminal
 from cassie_mjx.model import ModelConfig, load
@@ -154,8 +156,9 @@ class Session:
     def _measure(self, metrics: IterationMetrics) -> None:
         """Measure the return, log it, and keep the policy."""
         began = time.perf_counter()
-        policy = devices.own_copy(self.run.learner.policy)
-        returns = walk_returns(lambda seen: self.act(policy, seen), self.referee)
+        walk, policy = self.config.walk, devices.own_copy(self.run.learner.policy)
+        act = partial(self.act, policy)
+        returns = walk_returns(observation.symmetric(act) if walk.symmetric else act, self.referee)
         values = self._values(metrics, returns, time.perf_counter() - began)
         for sink in self.sinks:
             sink.write(values)
@@ -167,7 +170,9 @@ class Session:
             counters.return_plain, counters.return_weighted = returns["return_plain"], returns["return_weighted"]
             names.append("best")
         for name in names:
-            save_policy(self.folder / f"{name}.npz", policy, self.motion, self.factor, self.config.walk.damping, origin)
+            save_policy(
+                self.folder / f"{name}.npz", policy, self.motion, self.factor, walk.damping, origin, walk.symmetric
+            )
 
     def _values(self, metrics: IterationMetrics, returns: dict[str, float], eval_s: float) -> dict[str, float]:
         """One line of metrics; counts, rates and shares of the time are those since the last one."""

@@ -1,8 +1,9 @@
-"""The 80-D observation as one table: what is where, and in which unit.
+"""The 80-D observation as one table: what is where, and in which unit; and its mirror image.
 
 Source: Xie et al. 2018: 40 numbers of the robot and the same 40 of the reference motion; pelvis x is left out.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -38,6 +39,20 @@ HALF = len(_ADDRESSES)
 SIZE = 2 * HALF
 
 
+def _mirror_places() -> np.ndarray:
+    """Where each number of the mirror image's observation comes from: places from 1 on, with its sign, [80]."""
+    qpos, qvel = np.split(1 + np.arange(robot.NQ + robot.NV), [robot.NQ])
+    sources = np.concatenate([robot.mirror_qpos(qpos), robot.mirror_qvel(qvel)])[_ADDRESSES]
+    places = np.array([1 + np.flatnonzero(abs(source) - 1 == _ADDRESSES)[0] for source in sources])
+    return np.sign(np.tile(sources, 2)) * np.concatenate([places, HALF + places])
+
+
+MIRROR = _mirror_places()
+REFERENCE_HIP_PITCH = HALF + np.array(
+    [np.flatnonzero(robot.qpos_index(f"{side}-hip-pitch") == _ADDRESSES)[0] for side in robot.SIDES]
+)
+
+
 def build(qpos: Array, qvel: Array, reference_qpos: Array, reference_qvel: Array) -> jax.Array:
     """Observations, [B, 80]: the robot's half, then the reference's, each as in `TABLE`.
 
@@ -50,6 +65,46 @@ def build(qpos: Array, qvel: Array, reference_qpos: Array, reference_qvel: Array
     robots = jnp.concatenate([qpos, qvel], axis=-1)[..., _ADDRESSES]
     reference = jnp.concatenate([reference_qpos, reference_qvel], axis=-1)[..., _ADDRESSES]
     return jnp.concatenate([robots, reference], axis=-1)
+
+
+def mirror(seen: Array) -> Array:
+    """Reflect observations [..., 80] in the plane y = 0: what is seen of the left leg is seen of the right one."""
+    return seen[..., abs(MIRROR) - 1] * np.sign(MIRROR)
+
+
+def second_step(seen: Array) -> Array:
+    """Whether the reference of observations [..., 80] is in the one of its two steps, mirror images, [...], bool."""
+    left, right = REFERENCE_HIP_PITCH
+    return seen[..., left] < seen[..., right]
+
+
+def second_step_of(reference_qpos: Array) -> Array:
+    """The same of the reference's qpos [..., 35]."""
+    left, right = robot.qpos_index("left-hip-pitch", "right-hip-pitch")
+    return reference_qpos[..., left] < reference_qpos[..., right]
+
+
+def symmetric(act: Callable[[jax.Array], jax.Array]) -> Callable[[Array], jax.Array]:
+    """A policy of both steps from the policy of one: in the other step it sees and acts as in a mirror.
+
+    Args:
+      act: observations [..., 80] to actions [..., 10].
+    """
+
+    def act_in_both(seen: Array) -> jax.Array:
+        return unfolded(seen, act(folded(seen)))
+
+    return act_in_both
+
+
+def folded(seen: Array) -> jax.Array:
+    """Observations [..., 80], those of the second step as in a mirror."""
+    return jnp.where(second_step(seen)[..., None], mirror(seen), seen)
+
+
+def unfolded(seen: Array, action: Array) -> jax.Array:
+    """The actions [..., 10] that those on `folded(seen)` stand for, if `seen` is [..., 80]."""
+    return jnp.where(second_step(seen)[..., None], robot.mirror_active(action), action)
 
 
 def describe() -> list[str]:

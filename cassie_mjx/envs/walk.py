@@ -46,6 +46,8 @@ class WalkConfig:
     """Mean time from one commanded speed to the next, s, where there is a range of them; null for one an episode."""
     damping: float = 1.0
     """Factor on the published D gains of the PD law; with less, robots bear to sense and act later."""
+    symmetric: bool = False
+    """Whether the policy learns one step alone, and takes the other, its mirror image, as in a mirror."""
     disturbance: DisturbanceConfig = field(default_factory=DisturbanceConfig)
     """What robots are put through besides walking."""
 
@@ -226,6 +228,8 @@ class WalkEnv:
 
     def _pd_target(self, clock: Clock, action: jax.Array) -> jax.Array:
         reference, _ = clocks.reference(self.motion, clock, ahead=1)
+        if self.config.symmetric:
+            action = merge(observation.second_step_of(reference), robot.mirror_active(action), action)
         return reference[:, robot.ACTIVE_QPOS] + action
 
     def _draw(self, key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array, StartOffset]:
@@ -243,7 +247,8 @@ class WalkEnv:
         return phase, speed, StartOffset(size * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1), y)
 
     def _observe(self, clock: Clock, qpos: jax.Array, qvel: jax.Array) -> jax.Array:
-        return observation.build(qpos, qvel, *clocks.reference(self.motion, clock, ahead=1))
+        seen = observation.build(qpos, qvel, *clocks.reference(self.motion, clock, ahead=1))
+        return observation.folded(seen) if self.config.symmetric else seen
 
     def _start_states(
         self, phase: jax.Array, speed: jax.Array, offset: StartOffset, terrain: jax.Array
