@@ -30,16 +30,16 @@ _ARRAYS = ("mean", "std", "reference_qpos", "reference_qvel", "p_gain", "d_gain"
 _NUMBERS = ("clip", "samples", "speed", "reference_stride_length")
 _LISTS = ("joints", "observation")
 _MIRROR = ("mirror_observation", "mirror_action", "mirror_sides")
-"""What the file of a policy that learned one step alone has on top."""
+"""What the file of a policy that learned one step has besides, in the order of `Mirror`."""
 
 # What NumPy and zipfile raise on content that is none of theirs.
 _UNREADABLE = (OSError, EOFError, ValueError, TypeError, KeyError, RuntimeError, zipfile.BadZipFile, zlib.error)
 
 
 class Mirror(NamedTuple):
-    """How a policy that learned one step alone takes the other: it sees and acts as in a mirror.
+    """How a policy that learned one of the stride's two steps takes the other: it sees and acts as in a mirror.
 
-    A reflection is a list of signed places, counted from 1: the image has at i what was at |place i|, with its sign.
+    Reflections are lists of places, counted from 1: at i the image has what was at place |i|, with the sign of place i.
     """
 
     observation: np.ndarray
@@ -47,17 +47,12 @@ class Mirror(NamedTuple):
     action: np.ndarray
     """[10], the reflection of an action."""
     sides: np.ndarray
-    """[2], two places in an observation, counted from 1: in the other step the first holds less than the second."""
+    """[2], places of the reference's hip pitch, left and right, in an observation; in the second step left is less."""
 
-    def other_step(self, seen: np.ndarray) -> np.ndarray:
-        """Which of the observations [..., 80] are of the other step, [..., 1]."""
+    def second_step(self, observation: np.ndarray) -> np.ndarray:
+        """Which observations [..., 80] are of the second step, [..., 1], bool."""
         left, right = self.sides - 1
-        return (seen[..., left] < seen[..., right])[..., None]
-
-    @staticmethod
-    def reflect(places: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """The reflection of values [..., n]."""
-        return values[..., abs(places) - 1] * np.sign(places)
+        return (observation[..., left] < observation[..., right])[..., None]
 
 
 @dataclass(frozen=True)
@@ -96,7 +91,7 @@ class NumpyPolicy:
     provenance: Mapping[str, Any]
     """Where it came from: command, commit, versions, returns."""
     mirror: Mirror | None = None
-    """How it takes the step that it did not learn, if it learned one alone."""
+    """How it takes the second step, if it learned the first alone."""
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Return the residuals on the reference angles of the active joints, rad, [10] or [B, 10].
@@ -114,9 +109,9 @@ class NumpyPolicy:
             )
         if self.mirror is None:
             return self._mode(x)
-        other = self.mirror.other_step(x)
-        action = self._mode(np.where(other, self.mirror.reflect(self.mirror.observation, x), x))
-        return np.where(other, self.mirror.reflect(self.mirror.action, action), action)
+        second = self.mirror.second_step(x)
+        action = self._mode(np.where(second, _reflected(x, self.mirror.observation), x))
+        return np.where(second, _reflected(action, self.mirror.action), action)
 
     def _mode(self, x: np.ndarray) -> np.ndarray:
         x = ((x - self.mean) / self.std).clip(-self.clip, self.clip)
@@ -140,6 +135,11 @@ class NumpyPolicy:
             raise ValueError(f"{path} is damaged: a part of it is not of its kind ({error}).") from error
         _check_fit(policy, Path(path))
         return policy
+
+
+def _reflected(values: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Values [..., n] as in the mirror that `places` [n] describe."""
+    return values[..., abs(places) - 1] * np.sign(places).astype(values.dtype)
 
 
 def shipped_policies() -> dict[str, Path]:
@@ -181,7 +181,7 @@ def save_policy(
       speed: by which factor.
       damping: factor on the D gains of the PD law that holds its targets.
       provenance: anything JSON can hold.
-      symmetric: whether it learned one step alone, the other being its mirror image.
+      symmetric: whether it learned one of the stride's two steps alone.
 
     Raises:
       OSError: it cannot be written; a file of that name is as it was.
@@ -212,8 +212,7 @@ def save_policy(
         "observation": observation.describe(),
     }
     if symmetric:
-        mirrored = observation.MIRROR, robot.mirror_active(1 + np.arange(robot.NU)), 1 + observation.REFERENCE_HIP_PITCH
-        arrays |= dict(zip(_MIRROR, mirrored, strict=True))
+        arrays |= dict(zip(_MIRROR, _mirror(), strict=True))
     partial = path.with_name(path.name + ".partial")
     try:
         with partial.open("wb") as file:
@@ -224,6 +223,14 @@ def save_policy(
     except OSError as error:
         partial.unlink(missing_ok=True)
         raise OSError(f"The policy {path} could not be written ({error.strerror or error}).") from error
+
+
+def _mirror() -> Mirror:
+    """The mirror of this version's observations and actions."""
+    from cassie_mjx import robot
+    from cassie_mjx.envs import observation
+
+    return Mirror(observation.MIRROR, robot.mirror_active(1 + np.arange(robot.NU)), 1 + observation.REFERENCE_HIP_PITCH)
 
 
 def learner_policy(saved: NumpyPolicy) -> "Policy":
@@ -252,6 +259,10 @@ def learner_policy(saved: NumpyPolicy) -> "Policy":
             "version it was trained with, named in its provenance."
         )
     stride = saved.reference_qpos.shape[1:], saved.reference_qvel.shape[1:]
+    if saved.mirror and not all(map(np.array_equal, saved.mirror, _mirror())):
+        raise ValueError(
+            "The policy's mirror is not this version's; use the version it was trained with, named in its provenance."
+        )
     if saved.joints != robot.ACTUATORS or stride != ((robot.NQ,), (robot.NV,)):
         raise ValueError(
             "The policy drives joints or imitates a motion that this version's robot has not; use the version it was "
@@ -350,6 +361,12 @@ def _check_fit(policy: NumpyPolicy, path: Path) -> None:
     ):
         if array.shape != shape:
             raise ValueError(f"{path} does not fit together: {name} has shape {array.shape} instead of {shape}.")
+    mirror = policy.mirror or ()
+    for name, places, size, among in zip(
+        _MIRROR, mirror, (inputs, outputs, 2), (inputs, outputs, inputs), strict=False
+    ):
+        if places.shape != (size,) or not set(abs(places)) <= set(range(1, 1 + among)):
+            raise ValueError(f"{path} does not fit together: {name} is not {size} of the places 1 to {among}.")
     qpos, qvel = policy.reference_qpos.shape, policy.reference_qvel.shape
     if not len(qpos) == len(qvel) == 2 or qpos[0] != qvel[0] or qpos[0] == 0:
         raise ValueError(

@@ -112,7 +112,8 @@ def initial_policy(config: TrainConfig) -> Policy | None:
     """The policy that `config.init` names, if it names one.
 
     Raises:
-      ValueError: there is none, or two; its file is damaged, or its layers or inputs are not those of this run.
+      ValueError: there is none, or two; its file is damaged, or its layers or inputs are not those of this run, or it
+        is symmetric and this run is not.
     """
     if config.init is None:
         return None
@@ -124,6 +125,8 @@ def initial_policy(config: TrainConfig) -> Policy | None:
     widths = tuple(len(bias) for _, bias in saved.weights[:-1])
     if widths != config.ppo.hidden_sizes:
         raise ValueError(f"init={config.init} has hidden layers of {list(widths)}; set ppo.hidden_sizes to that.")
+    if saved.mirror and not config.walk.symmetric:
+        raise ValueError(f"init={config.init} learned one step of the stride alone; set walk.symmetric=true.")
     return export.learner_policy(saved)
 
 

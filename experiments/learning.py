@@ -84,7 +84,13 @@ ROBUST = {"walk": "robust", "ppo.final_action_std": "0.05"}
 GENTLER = {"walk.disturbance.push_n": "250", "ppo.action_std": "0.05"}
 
 LATER = {"init": None, "ppo.privileged_critic": False, "ppo.final_action_std": None}
-LATER |= {"walk.x_limit_m": None, "walk.damping": 1.0, "walk.start_velocity_mps": 0, "walk.start_offset_m": 0}
+LATER |= {
+    "walk.symmetric": False,
+    "walk.x_limit_m": None,
+    "walk.damping": 1.0,
+    "walk.start_velocity_mps": 0,
+    "walk.start_offset_m": 0,
+}
 # What means nothing to robots of one speed, as all of those runs have.
 LATER |= {"walk.command_s": WalkConfig().command_s}
 LATER |= {f"walk.disturbance.{name}": value for name, value in vars(DisturbanceConfig()).items()}

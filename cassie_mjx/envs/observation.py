@@ -40,7 +40,6 @@ SIZE = 2 * HALF
 
 
 def _mirror_places() -> np.ndarray:
-    """Where each number of the mirror image's observation comes from: places from 1 on, with its sign, [80]."""
     qpos, qvel = np.split(1 + np.arange(robot.NQ + robot.NV), [robot.NQ])
     sources = np.concatenate([robot.mirror_qpos(qpos), robot.mirror_qvel(qvel)])[_ADDRESSES]
     places = np.array([1 + np.flatnonzero(abs(source) - 1 == _ADDRESSES)[0] for source in sources])
@@ -48,9 +47,10 @@ def _mirror_places() -> np.ndarray:
 
 
 MIRROR = _mirror_places()
-REFERENCE_HIP_PITCH = HALF + np.array(
-    [np.flatnonzero(robot.qpos_index(f"{side}-hip-pitch") == _ADDRESSES)[0] for side in robot.SIDES]
-)
+"""[80], the reflection of an observation: places, from 1 on, that its numbers come from, with the sign they get."""
+HIP_PITCH = robot.qpos_index("left-hip-pitch", "right-hip-pitch")
+REFERENCE_HIP_PITCH = HALF + np.array([np.flatnonzero(address == _ADDRESSES)[0] for address in HIP_PITCH])
+"""Where an observation has the reference's hip pitch angles, left and right."""
 
 
 def build(qpos: Array, qvel: Array, reference_qpos: Array, reference_qvel: Array) -> jax.Array:
@@ -68,43 +68,36 @@ def build(qpos: Array, qvel: Array, reference_qpos: Array, reference_qvel: Array
 
 
 def mirror(seen: Array) -> Array:
-    """Reflect observations [..., 80] in the plane y = 0: what is seen of the left leg is seen of the right one."""
+    """Reflect observations [..., 80] in the plane y = 0: what was seen of the left leg is seen of the right one."""
     return seen[..., abs(MIRROR) - 1] * np.sign(MIRROR)
 
 
-def second_step(seen: Array) -> Array:
-    """Whether the reference of observations [..., 80] is in the one of its two steps, mirror images, [...], bool."""
-    left, right = REFERENCE_HIP_PITCH
-    return seen[..., left] < seen[..., right]
+def second_step(hip_pitch: Array) -> Array:
+    """Whether a reference is in the second of its two steps, which are mirror images, [..., 1], bool.
+
+    Args:
+      hip_pitch: its hip pitch angles, left and right, [..., 2], rad.
+    """
+    return hip_pitch[..., :1] < hip_pitch[..., 1:]
 
 
-def second_step_of(reference_qpos: Array) -> Array:
-    """The same of the reference's qpos [..., 35]."""
-    left, right = robot.qpos_index("left-hip-pitch", "right-hip-pitch")
-    return reference_qpos[..., left] < reference_qpos[..., right]
+def folded(seen: Array) -> jax.Array:
+    """Observations [..., 80], those of the second step as in a mirror."""
+    return jnp.where(second_step(seen[..., REFERENCE_HIP_PITCH]), mirror(seen), seen)
 
 
 def symmetric(act: Callable[[jax.Array], jax.Array]) -> Callable[[Array], jax.Array]:
-    """A policy of both steps from the policy of one: in the other step it sees and acts as in a mirror.
+    """The policy of both steps that acts in the second as `act` does in the first, as in a mirror.
 
     Args:
       act: observations [..., 80] to actions [..., 10].
     """
 
     def act_in_both(seen: Array) -> jax.Array:
-        return unfolded(seen, act(folded(seen)))
+        action = act(folded(seen))
+        return jnp.where(second_step(seen[..., REFERENCE_HIP_PITCH]), robot.mirror_active(action), action)
 
     return act_in_both
-
-
-def folded(seen: Array) -> jax.Array:
-    """Observations [..., 80], those of the second step as in a mirror."""
-    return jnp.where(second_step(seen)[..., None], mirror(seen), seen)
-
-
-def unfolded(seen: Array, action: Array) -> jax.Array:
-    """The actions [..., 10] that those on `folded(seen)` stand for, if `seen` is [..., 80]."""
-    return jnp.where(second_step(seen)[..., None], robot.mirror_active(action), action)
 
 
 def describe() -> list[str]:

@@ -47,7 +47,7 @@ class WalkConfig:
     damping: float = 1.0
     """Factor on the published D gains of the PD law; with less, robots bear to sense and act later."""
     symmetric: bool = False
-    """Whether the policy learns one step alone, and takes the other, its mirror image, as in a mirror."""
+    """Whether the policy learns one of the stride's two steps and sees and acts in the other as in a mirror."""
     disturbance: DisturbanceConfig = field(default_factory=DisturbanceConfig)
     """What robots are put through besides walking."""
 
@@ -211,7 +211,8 @@ class WalkEnv:
 
         Args:
           state: before the step.
-          action: residual on the reference angles of the active joints, [B, 10], rad.
+          action: residual on the reference angles of the active joints, [B, 10], rad; in a symmetric task that of the
+            robot that was observed, which in the second step of the stride is a mirror image.
           key: for new episodes, for commanded speeds, and for disturbances.
         """
         target = _beside(state.physics, self._target(state.clock, action))
@@ -229,7 +230,8 @@ class WalkEnv:
     def _pd_target(self, clock: Clock, action: jax.Array) -> jax.Array:
         reference, _ = clocks.reference(self.motion, clock, ahead=1)
         if self.config.symmetric:
-            action = merge(observation.second_step_of(reference), robot.mirror_active(action), action)
+            second = observation.second_step(reference[:, observation.HIP_PITCH])
+            action = jnp.where(second, robot.mirror_active(action), action)
         return reference[:, robot.ACTIVE_QPOS] + action
 
     def _draw(self, key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array, StartOffset]:

@@ -1,0 +1,157 @@
+"""A policy that learns one of the stride's two steps, and takes the other as in a mirror."""
+
+import io
+import json
+from dataclasses import replace
+from functools import partial
+
+import jax
+import numpy as np
+import pytest
+from rich.console import Console
+
+from cassie_mjx import reference, robot
+from cassie_mjx.config import PPOConfig
+from cassie_mjx.envs import observation
+from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.export import NumpyPolicy, learner_policy, save_policy
+from cassie_mjx.model import ModelConfig, load
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.ppo import learner, networks
+from cassie_mjx.subjects import resolve
+from cassie_mjx.suites import Setting
+from cassie_mjx.train import Session, TrainConfig
+
+TINY = PPOConfig(
+    num_robots=4,
+    num_steps=8,
+    iterations=2,
+    updates_per_iteration=3,
+    minibatch_size=16,
+    hidden_sizes=(16, 16),
+    normalizer_samples=64,
+)
+
+
+def session(folder, **changes):
+    config = TrainConfig(ppo=TINY, physics="native", evaluate_every=2, run_dir=str(folder))
+    return Session(replace(config, **changes), Console(file=io.StringIO()))
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return reference.resolve("walk")
+
+
+@pytest.fixture(scope="module")
+def states():
+    rng = np.random.default_rng(0)
+    return rng.normal(size=(2, 50, robot.NQ)), rng.normal(size=(2, 50, robot.NV))
+
+
+@pytest.fixture(scope="module")
+def policy():
+    return learner.init(jax.random.key(0), PPOConfig(actor_output_scale=1.0), observation.SIZE, robot.NU, 1).policy
+
+
+@pytest.fixture
+def path(policy, motion, tmp_path):
+    save_policy(tmp_path / "policy.npz", policy, motion, 1.0, 1.0, {}, symmetric=True)
+    return tmp_path / "policy.npz"
+
+
+def test_a_mirror_image_is_seen_as_the_reflection(states):
+    (qpos, ahead), (qvel, ahead_velocity) = states
+    seen = observation.build(qpos, qvel, ahead, ahead_velocity)
+    images = [robot.mirror_qpos(qpos), robot.mirror_qvel(qvel)]
+    images += [robot.mirror_qpos(ahead), robot.mirror_qvel(ahead_velocity)]
+    np.testing.assert_array_equal(observation.mirror(seen), observation.build(*images))
+    np.testing.assert_array_equal(observation.mirror(observation.mirror(seen)), seen)
+
+
+@pytest.mark.parametrize("speed", [0.0, 1.0, 4.0])
+def test_each_step_is_half_of_the_stride_at_any_speed(motion, speed):
+    hip_pitch = reference.stretch(motion, speed).qpos[:, observation.HIP_PITCH]
+    second = observation.second_step(hip_pitch)[:, 0]
+    half = len(second) // 2
+    np.testing.assert_array_equal(second[:half], ~second[half:])
+    assert np.count_nonzero(second != np.roll(second, 1)) == 2
+    assert np.abs(np.diff(hip_pitch)).min() > 0.01
+
+
+def test_images_act_as_images(policy, path, states):
+    (qpos, ahead), (qvel, ahead_velocity) = states
+    seen = np.asarray(observation.build(qpos, qvel, ahead, ahead_velocity))
+    second = np.asarray(observation.second_step(seen[:, observation.REFERENCE_HIP_PITCH]))
+    assert 10 < second.sum() < 40
+    mode = partial(networks.mode, policy)
+    for act in (observation.symmetric(mode), NumpyPolicy.load(path)):
+        action, image = np.asarray(act(seen)), np.asarray(act(np.asarray(observation.mirror(seen))))
+        np.testing.assert_allclose(image, robot.mirror_active(action), atol=1e-5)
+        np.testing.assert_allclose(action[~second[:, 0]], mode(seen)[~second[:, 0]], atol=1e-5)
+        assert np.abs(action - mode(seen))[second[:, 0]].max() > 0.1
+    assert NumpyPolicy.load(path)(seen[0]).shape == (robot.NU,)
+
+
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_robots_half_a_stride_apart_live_the_same_step(motion, symmetric):
+    physics = NativePhysics(load(ModelConfig(physics_hz=500)))
+    env = WalkEnv(physics, motion, WalkConfig(symmetric=symmetric), 22)
+    state = env.reset_at(np.arange(22), Disturbance.none(22))
+    for number in range(10):
+        seen = np.asarray(state.observation)
+        # The published pelvis is not quite symmetric: its centre of mass is 0.3 mm off the plane.
+        close = np.allclose(seen[:11], seen[11:], atol=1e-6 if number == 0 else 0.2)
+        assert close == symmetric
+        action = np.tile(0.1 * np.random.default_rng(number).normal(size=(11, robot.NU)), (2, 1))
+        state = env.step(state, action, jax.random.key(number))
+        assert not np.asarray(state.terminated).any()
+    reward = np.asarray(state.metrics["weighted"])
+    assert (np.abs(reward[:11] - reward[11:]).max() < 0.01) == symmetric
+
+
+def test_a_run_measures_what_its_policy_file_has(tmp_path):
+    session(tmp_path, walk=WalkConfig(symmetric=True)).train()
+    last = json.loads((tmp_path / "metrics.jsonl").read_text().splitlines()[-1])
+    subject = resolve(str(tmp_path))
+    figures = {figure.quantity: figure.value for figure in subject.returns(Setting().physics(subject))}
+    assert NumpyPolicy.load(tmp_path / "best.npz").mirror
+    assert figures["return_plain"] == pytest.approx(last["eval/return_plain"], rel=1e-5)
+
+
+def test_training_goes_on_from_any_policy_that_fits(path, tmp_path):
+    session(tmp_path / "first").train()
+    network = replace(TINY, hidden_sizes=(256, 256))
+    assert session(tmp_path / "a", init=str(tmp_path / "first"), walk=WalkConfig(symmetric=True))
+    assert session(tmp_path / "b", init=str(path), walk=WalkConfig(symmetric=True), ppo=network)
+    with pytest.raises(ValueError, match=r"policy\.npz learned one step of the stride alone; set walk\.symmetric=true"):
+        session(tmp_path / "c", init=str(path), ppo=network)
+    assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"mirror_action": None}, "mirror_action missing or too much"),
+        ({"mirror_observation": None}, "mirror_action, mirror_sides missing or too much"),
+        ({"mirror_observation": np.arange(1, 80)}, "mirror_observation is not 80 of the places 1 to 80"),
+        ({"mirror_action": np.arange(10)}, "mirror_action is not 10 of the places 1 to 10"),
+        ({"mirror_sides": np.array([49, 81])}, "mirror_sides is not 2 of the places 1 to 80"),
+        ({"mirror_sides": np.array([np.nan, 1])}, "mirror_sides holds NaN"),
+    ],
+)
+def test_a_mirror_that_does_not_fit_is_refused(path, change, sentence):
+    with np.load(path) as archive:
+        content = dict(archive) | change
+    np.savez(path, **{name: value for name, value in content.items() if value is not None})
+    with pytest.raises(ValueError, match=sentence):
+        NumpyPolicy.load(path)
+
+
+def test_another_mirror_is_refused(path):
+    saved = NumpyPolicy.load(path)
+    assert learner_policy(saved)
+    other = saved.mirror._replace(action=np.arange(1, 11))
+    with pytest.raises(ValueError, match="mirror is not this version's"):
+        learner_policy(replace(saved, mirror=other))
