@@ -76,6 +76,10 @@ def single_speeds(config: SpeedsConfig) -> list[tuple[dict[str, Any], PolicySubj
     found = []
     for name, seed in product(config.policies, config.training_seeds):
         folder = Path(config.runs) / f"{name}-seed{seed}"
+        if not folder.is_dir():
+            study = "walking" if name == learning.DEFAULT.name else "learning_speeds"
+            command = f"python -m experiments.learning study={study} runs={config.runs}"
+            raise ValueError(f"There is no run {folder}; make it with {command}.")
         policy = subjects.resolve_policy(str(folder))
         learning.check(folder, VARIANTS[name], seed)
         found.append(({"subject": name, "seed": seed}, policy))

@@ -62,6 +62,13 @@ def test_the_file_says_which_policies_kept_their_speeds(tmp_path, monkeypatch):
     assert content["provenance"]["profile_seed"] == 3
 
 
+@pytest.mark.parametrize(("policy", "study"), [("1x", "walking"), ("4x", "learning_speeds")])
+def test_a_run_that_is_not_there_is_asked_of_its_study(tmp_path, policy, study):
+    config = SpeedsConfig((policy,), None, runs=str(tmp_path), training_seeds=(1,), out=str(tmp_path / "a.json"))
+    with pytest.raises(ValueError, match=rf"no run {tmp_path}/{policy}-seed1; make it with .* study={study} runs="):
+        speeds.main(config)
+
+
 def test_the_policies_of_training_runs_are_measured_under_name_and_seed(tmp_path, monkeypatch):
     for seed in (0, 4):
         run = tmp_path / f"1x-seed{seed}"
