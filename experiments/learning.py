@@ -81,7 +81,12 @@ DEFAULT = Variant("1x", {})
 OTHER_SPEEDS = tuple(Variant(speed, {"speed": speed, "init": "1x"}) for speed in ("0x", "2x", "3x", "4x"))
 
 ROBUST = {"walk": "robust", "ppo.final_action_std": "0.05"}
-GENTLER = {"walk.disturbance.push_n": "250", "ppo.action_std": "0.05"}
+GENTLER = {
+    "walk.disturbance.push_n": "250",
+    "walk.disturbance.push_backward": "0.7",
+    "ppo.action_std": "0.05",
+    "ppo.iterations": "750",
+}
 
 LATER = {"init": None, "ppo.privileged_critic": False, "ppo.final_action_std": None}
 LATER |= {
@@ -111,7 +116,7 @@ STUDIES = {
     ),
     "robust": (
         Variant("1x-robust-first", ROBUST | {"init": "1x", "ppo.iterations": "600"}),
-        Variant("1x-robust", ROBUST | GENTLER | {"init": "{runs}/1x-robust-first-seed{seed}", "ppo.iterations": "450"}),
+        Variant("1x-robust", ROBUST | GENTLER | {"init": "{runs}/1x-robust-first-seed{seed}"}),
     ),
     "warm_start": (OTHER_SPEEDS[-1], Variant("4x-from-scratch", {"speed": "4x"}, (0,))),
     # What the paper prints, a tenth of its step sizes, and readings that differ from the printed one in a single point.

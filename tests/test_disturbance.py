@@ -59,6 +59,12 @@ def test_draws_are_uniform_over_their_ranges():
         np.testing.assert_allclose(counts / robots, 1 / len(expected), atol=0.012)
 
 
+def test_the_backward_part_of_pushes_can_be_less():
+    full = draw(ALL, jax.random.key(0), 1000, HZ).push
+    weak = draw(replace(ALL, push_backward=0.7), jax.random.key(0), 1000, HZ).push
+    np.testing.assert_allclose(weak, np.where((full < 0) & (np.arange(3) == 0), 0.7 * full, full), rtol=1e-5)
+
+
 @pytest.mark.parametrize("name", ["push_n", "terrain_m", "delay_s"])
 def test_what_is_not_asked_for_does_not_act(name):
     config = replace(DisturbanceConfig(), **{name: getattr(ALL, name)})
@@ -188,7 +194,7 @@ def test_both_engines_draw_and_live_the_same(hills, motion):
 
 
 def test_bad_configurations(motion):
-    for name in ("push_n", "push_pause_s", "terrain_m", "delay_s"):
+    for name in ("push_n", "push_backward", "push_pause_s", "terrain_m", "delay_s"):
         with pytest.raises(ValueError, match=f"{name}=-1 must be from 0 to 1000."):
             DisturbanceConfig(**{name: -1})
     with pytest.raises(ValueError, match=r"delay_s=0.01 is 10 physics steps; this engine was made for 0 to 0\."):

@@ -25,6 +25,8 @@ class DisturbanceConfig:
 
     push_n: float = 0.0
     """Force of a push at the pelvis, N: horizontal, in any direction, for 0.2 s, one push after the other."""
+    push_backward: float = 1.0
+    """Factor on the backward part of a push; robots bear less of it than of the others."""
     push_pause_s: float = 4.0
     """Time from the start of the episode, or from the end of the push before, to a push, s."""
     terrain_m: float = 0.0
@@ -61,12 +63,14 @@ def draw(config: DisturbanceConfig, key: jax.Array, robots: int, physics_hz: flo
     force_key, direction_key, pause_key, terrain_key, delay_key = jax.random.split(key, 5)
     force = jax.random.uniform(force_key, (robots, 1), maxval=config.push_n)
     angle = jax.random.uniform(direction_key, (robots,), maxval=2 * jnp.pi)
+    forward, left = jnp.cos(angle), jnp.sin(angle)
+    forward *= jnp.where(forward < 0, config.push_backward, 1)
     # A push starts with a control step: within one, it would cut the physics' calls of all robots in two.
     longest = math.ceil(config.push_pause_s / CONTROL_PERIOD_S)
     start = jax.random.randint(pause_key, (robots,), 0, longest + 1) * steps_per_control(physics_hz)
     level = jax.random.randint(terrain_key, (robots,), 0, TERRAIN_HEIGHTS + 1)
     return Disturbance(
-        push=force * jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros(robots)], axis=1),
+        push=force * jnp.stack([forward, left, jnp.zeros(robots)], axis=1),
         push_start=start,
         push_stop=start + round(PUSH_S * physics_hz),
         delay=jax.random.randint(delay_key, (robots,), 0, config.delay_steps(physics_hz) + 1),

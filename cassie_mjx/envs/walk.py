@@ -87,6 +87,7 @@ WALK_PRESETS = {
         x_limit_m=None,
         start_offset_m=1.0,
         damping=0.3,
+        symmetric=True,
         disturbance=DisturbanceConfig(push_n=300, push_pause_s=2, terrain_m=0.25, delay_s=0.01),
     ),
 }
