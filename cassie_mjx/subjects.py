@@ -14,9 +14,10 @@ from cassie_mjx import controller, interpolate, robot
 from cassie_mjx.config import speed_factor
 from cassie_mjx.controller import CONTROLLERS, ControllerConfig, ControllerState
 from cassie_mjx.envs import observation
-from cassie_mjx.export import NumpyPolicy, find, learner_policy, shipped_policies
+from cassie_mjx.export import find, learner_policy, shipped_policies
 from cassie_mjx.interpolate import SCHEDULES, Progress
 from cassie_mjx.model import CONTROL_PERIOD_S, standing
+from cassie_mjx.numpy_policy import NumpyPolicy
 from cassie_mjx.physics.types import Array, BodyState, Disturbance, Physics, PhysicsState
 from cassie_mjx.ppo import networks
 from cassie_mjx.reference import ReferenceMotion, nearest_sample, sample, stretch

@@ -12,9 +12,9 @@ from cassie_mjx import devices, diagnosis, export, robot
 from cassie_mjx.config import PPO_PRESETS, PPOConfig, speed_factors
 from cassie_mjx.envs import observation
 from cassie_mjx.envs.walk import ENDS, WALK_PRESETS, WalkConfig, WalkEnv
-from cassie_mjx.export import NumpyPolicy
 from cassie_mjx.metrics import Stopwatch
 from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx, steps_per_control
+from cassie_mjx.numpy_policy import NumpyPolicy
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.ppo import learner, rollout

@@ -15,8 +15,8 @@ from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.envs.walk import WalkConfig, WalkEnv
-from cassie_mjx.export import NumpyPolicy
 from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx, steps_per_control
+from cassie_mjx.numpy_policy import NumpyPolicy
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Physics

@@ -14,7 +14,8 @@ import pytest
 from cassie_mjx import export, reference, robot
 from cassie_mjx.config import PPOConfig
 from cassie_mjx.envs import observation
-from cassie_mjx.export import ExportConfig, NumpyPolicy, learner_policy, save_policy
+from cassie_mjx.export import ExportConfig, learner_policy, save_policy
+from cassie_mjx.numpy_policy import NumpyPolicy
 from cassie_mjx.ppo import learner, networks, normalizer
 
 
@@ -80,7 +81,7 @@ def test_the_file_explains_itself(path):
 def test_it_needs_numpy_alone(path):
     program = f"""
 import sys, numpy
-from cassie_mjx.export import NumpyPolicy
+from cassie_mjx.numpy_policy import NumpyPolicy
 print(NumpyPolicy.load({str(path)!r})(numpy.zeros(80)).shape)
 print(sorted({{"jax", "flax", "mujoco", "brax", "orbax"}} & set(sys.modules)))
 """

@@ -11,8 +11,9 @@ import pytest
 from cassie_mjx import interpolate, reference, robot, subjects
 from cassie_mjx.config import PPO_PRESETS
 from cassie_mjx.envs import observation
-from cassie_mjx.export import NumpyPolicy, save_policy
+from cassie_mjx.export import save_policy
 from cassie_mjx.interpolate import Progress
+from cassie_mjx.numpy_policy import NumpyPolicy
 from cassie_mjx.physics.types import PhysicsState
 from cassie_mjx.ppo import learner, networks
 from cassie_mjx.reference import ReferenceMotion, sample, stretch

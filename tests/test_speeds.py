@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cassie_mjx import export, reference
+from cassie_mjx.numpy_policy import NumpyPolicy
 from experiments import interpolation, learning, speeds
 from experiments.interpolation import InterpolationConfig, Ride, draw
 from experiments.speeds import SpeedsConfig, follow, profile
@@ -57,7 +58,7 @@ def test_the_file_says_which_policies_kept_their_speeds(tmp_path, monkeypatch):
     content = json.loads((tmp_path / "a.json").read_text())
     walked = dict.fromkeys(row["subject"] for row in content["rows"])
     assert list(walked) == [f"{free} profile", "1x", f"{free} speed=0.5x", f"{free} speed=2x"]
-    policy = export.NumpyPolicy.load(shipped)
+    policy = NumpyPolicy.load(shipped)
     assert content["provenance"]["subject"] == {"1x": policy.provenance, free: policy.provenance}
     assert content["provenance"]["profile_seed"] == 3
 
@@ -113,7 +114,7 @@ def test_the_file_says_which_policies_were_blended(tmp_path, monkeypatch):
     assert plot.read_bytes().startswith(b"\x89PNG")
     content = json.loads((tmp_path / "a.json").read_text())
     assert list(content["rides"]) == ["blend:1x,1x schedule=ramp", "blend:1x,1x,1x,1x,1x schedule=ramp"]
-    policy = export.NumpyPolicy.load(export.shipped_policies()["1x"])
+    policy = NumpyPolicy.load(export.shipped_policies()["1x"])
     assert content["provenance"]["subject"] == {"1x": policy.provenance}
 
 

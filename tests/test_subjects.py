@@ -8,7 +8,8 @@ import pytest
 from cassie_mjx import cli, export, film, reference, returns, robot, subjects
 from cassie_mjx.config import PPO_PRESETS
 from cassie_mjx.envs import observation
-from cassie_mjx.export import NumpyPolicy, save_policy
+from cassie_mjx.export import save_policy
+from cassie_mjx.numpy_policy import NumpyPolicy
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.ppo import learner
 from cassie_mjx.subjects import BlendSubject, ControllerSubject, PolicySubject, SubjectConfig

@@ -4,6 +4,7 @@ import io
 import json
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
@@ -14,8 +15,9 @@ from cassie_mjx import reference, robot
 from cassie_mjx.config import PPOConfig
 from cassie_mjx.envs import observation
 from cassie_mjx.envs.walk import WalkConfig, WalkEnv
-from cassie_mjx.export import NumpyPolicy, learner_policy, save_policy
+from cassie_mjx.export import learner_policy, save_policy
 from cassie_mjx.model import ModelConfig, load
+from cassie_mjx.numpy_policy import Mirror, NumpyPolicy
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance
 from cassie_mjx.ppo import learner, networks
@@ -82,12 +84,12 @@ def test_each_step_is_half_of_the_stride_at_any_speed(motion, speed):
 
 def test_images_act_as_images(policy, path, states):
     (qpos, ahead), (qvel, ahead_velocity) = states
-    seen = np.asarray(observation.build(qpos, qvel, ahead, ahead_velocity))
+    seen: Any = np.asarray(observation.build(qpos, qvel, ahead, ahead_velocity))
     second = np.asarray(observation.second_step(seen[:, observation.REFERENCE_HIP_PITCH]))
     assert 10 < second.sum() < 40
     mode = partial(networks.mode, policy)
     for act in (observation.symmetric(mode), NumpyPolicy.load(path)):
-        action, image = np.asarray(act(seen)), np.asarray(act(np.asarray(observation.mirror(seen))))
+        action, image = np.asarray(act(seen)), np.asarray(act(observation.mirror(seen)))
         np.testing.assert_allclose(image, robot.mirror_active(action), atol=1e-5)
         np.testing.assert_allclose(action[~second[:, 0]], mode(seen)[~second[:, 0]], atol=1e-5)
         assert np.abs(action - mode(seen))[second[:, 0]].max() > 0.1
@@ -152,6 +154,6 @@ def test_a_mirror_that_does_not_fit_is_refused(path, change, sentence):
 def test_another_mirror_is_refused(path):
     saved = NumpyPolicy.load(path)
     assert learner_policy(saved)
-    other = saved.mirror._replace(action=np.arange(1, 11))
+    other = Mirror(observation.MIRROR, np.arange(1, 11), 1 + observation.REFERENCE_HIP_PITCH)
     with pytest.raises(ValueError, match="mirror is not this version's"):
         learner_policy(replace(saved, mirror=other))

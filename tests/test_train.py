@@ -18,8 +18,8 @@ from rich.console import Console
 from cassie_mjx import checkpoint, hydra_cli, train
 from cassie_mjx.config import PPO_PRESETS, PPOConfig, speed_factor, speed_factors
 from cassie_mjx.envs.walk import WALK_PRESETS
-from cassie_mjx.export import NumpyPolicy
 from cassie_mjx.metrics import Terminal
+from cassie_mjx.numpy_policy import NumpyPolicy
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.reference import resolve as resolve_motion
 from cassie_mjx.train import Session, TrainConfig

@@ -13,7 +13,7 @@ from cassie_mjx import checkpoint
 from cassie_mjx.config import PPOConfig
 from cassie_mjx.envs.disturbance import DisturbanceConfig
 from cassie_mjx.envs.walk import WalkConfig
-from cassie_mjx.export import NumpyPolicy
+from cassie_mjx.numpy_policy import NumpyPolicy
 from cassie_mjx.ppo import networks
 from cassie_mjx.train import Session, TrainConfig
 

@@ -72,13 +72,14 @@ def mirror(seen: Array) -> Array:
     return seen[..., abs(MIRROR) - 1] * np.sign(MIRROR)
 
 
-def second_step(hip_pitch: Array) -> Array:
+def second_step(hip_pitch: Array) -> jax.Array:
     """Whether a reference is in the second of its two steps, which are mirror images, [..., 1], bool.
 
     Args:
       hip_pitch: its hip pitch angles, left and right, [..., 2], rad.
     """
-    return hip_pitch[..., :1] < hip_pitch[..., 1:]
+    left, right = jnp.split(hip_pitch, 2, axis=-1)
+    return left < right
 
 
 def folded(seen: Array) -> jax.Array:
@@ -95,7 +96,8 @@ def symmetric(act: Callable[[jax.Array], jax.Array]) -> Callable[[Array], jax.Ar
 
     def act_in_both(seen: Array) -> jax.Array:
         action = act(folded(seen))
-        return jnp.where(second_step(seen[..., REFERENCE_HIP_PITCH]), robot.mirror_active(action), action)
+        image: jax.Array = robot.mirror_active(action)
+        return jnp.where(second_step(seen[..., REFERENCE_HIP_PITCH]), image, action)
 
     return act_in_both
 

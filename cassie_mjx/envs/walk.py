@@ -231,8 +231,8 @@ class WalkEnv:
     def _pd_target(self, clock: Clock, action: jax.Array) -> jax.Array:
         reference, _ = clocks.reference(self.motion, clock, ahead=1)
         if self.config.symmetric:
-            second = observation.second_step(reference[:, observation.HIP_PITCH])
-            action = jnp.where(second, robot.mirror_active(action), action)
+            image: jax.Array = robot.mirror_active(action)
+            action = jnp.where(observation.second_step(reference[:, observation.HIP_PITCH]), image, action)
         return reference[:, robot.ACTIVE_QPOS] + action
 
     def _draw(self, key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array, StartOffset]:
