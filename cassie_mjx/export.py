@@ -8,15 +8,17 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
-from cassie_mjx.numpy_policy import FORMAT, MIRROR, VERSION, Mirror, NumpyPolicy
-
-if TYPE_CHECKING:
-    from cassie_mjx.ppo.types import Policy
-    from cassie_mjx.reference import ReferenceMotion
+from cassie_mjx import cli, robot
+from cassie_mjx.envs import observation
+from cassie_mjx.numpy_policy import FORMAT, MIRROR_ARRAYS, VERSION, Mirror, NumpyPolicy
+from cassie_mjx.ppo import networks, normalizer
+from cassie_mjx.ppo.types import Normalizer, Policy
+from cassie_mjx.reference import ReferenceMotion
 
 FOLDER = Path(__file__).parent / "policies"
 CHOICES = ("best", "last")
@@ -45,8 +47,8 @@ def find(name: str) -> Path | None:
 
 def save_policy(
     path: Path,
-    policy: "Policy",
-    motion: "ReferenceMotion",
+    policy: Policy,
+    motion: ReferenceMotion,
     speed: float,
     damping: float,
     provenance: Mapping[str, Any],
@@ -66,10 +68,6 @@ def save_policy(
     Raises:
       OSError: it cannot be written; a file of that name is as it was.
     """
-    from cassie_mjx import robot
-    from cassie_mjx.envs import observation
-    from cassie_mjx.ppo import networks, normalizer
-
     layers = networks.layers(policy.actor)
     arrays: dict[str, Any] = {f"weight_{i}": weight for i, (weight, _) in enumerate(layers)}
     arrays |= {f"bias_{i}": bias for i, (_, bias) in enumerate(layers)}
@@ -92,7 +90,7 @@ def save_policy(
         "observation": observation.describe(),
     }
     if symmetric:
-        arrays |= dict(zip(MIRROR, _mirror(), strict=True))
+        arrays |= dict(zip(MIRROR_ARRAYS, _mirror(), strict=True))
     partial = path.with_name(path.name + ".partial")
     try:
         with partial.open("wb") as file:
@@ -107,42 +105,34 @@ def save_policy(
 
 def _mirror() -> Mirror:
     """The mirror of this version's observations and actions."""
-    from cassie_mjx import robot
-    from cassie_mjx.envs import observation
-
     return Mirror(observation.MIRROR, robot.mirror_active(1 + np.arange(robot.NU)), 1 + observation.REFERENCE_HIP_PITCH)
 
 
-def learner_policy(saved: NumpyPolicy) -> "Policy":
+def learner_policy(saved: NumpyPolicy) -> Policy:
     """The same policy for `ppo.networks`, without noise: to be evaluated on an accelerator, or trained further.
 
+    Of one with a mirror it is what it does in the first step; `observation.symmetric` makes that whole.
+
     Raises:
-      ValueError: it was trained on another layout of the observation, with another bound on its inputs, or for another
-        robot, than this version's.
+      ValueError: it was trained on another layout of the observation, with another bound on its inputs or another
+        mirror, or for another robot, than this version's.
     """
-    import jax.numpy as jnp
-
-    from cassie_mjx import robot
-    from cassie_mjx.envs import observation
-    from cassie_mjx.ppo.normalizer import CLIP
-    from cassie_mjx.ppo.types import Normalizer, Policy
-
     differing = [line for line in saved.observation if line not in observation.describe()]
     if differing or len(saved.observation) != len(observation.describe()):
         raise ValueError(
             f"The policy observes {'; '.join(differing) or len(saved.observation)}, which this version's observation "
             "has not; use the version it was trained with, named in its provenance."
         )
-    if saved.clip != CLIP:
+    if saved.clip != normalizer.CLIP:
         raise ValueError(
-            f"The policy bounds its inputs at {saved.clip:g} standard deviations, this version at {CLIP:g}; use the "
-            "version it was trained with, named in its provenance."
+            f"The policy bounds its inputs at {saved.clip:g} standard deviations, this version at {normalizer.CLIP:g}; "
+            "use the version it was trained with, named in its provenance."
         )
-    stride = saved.reference_qpos.shape[1:], saved.reference_qvel.shape[1:]
     if saved.mirror and not all(map(np.array_equal, saved.mirror, _mirror())):
         raise ValueError(
             "The policy's mirror is not this version's; use the version it was trained with, named in its provenance."
         )
+    stride = saved.reference_qpos.shape[1:], saved.reference_qvel.shape[1:]
     if saved.joints != robot.ACTUATORS or stride != ((robot.NQ,), (robot.NV,)):
         raise ValueError(
             "The policy drives joints or imitates a motion that this version's robot has not; use the version it was "
@@ -151,8 +141,8 @@ def learner_policy(saved: NumpyPolicy) -> "Policy":
     names = [*(f"hidden_{i}" for i in range(len(saved.weights) - 1)), "output"]
     layers = [{"kernel": jnp.asarray(weight), "bias": jnp.asarray(bias)} for weight, bias in saved.weights]
     squares = jnp.asarray(np.square(saved.std) * saved.samples)
-    normalizer = Normalizer(jnp.asarray(saved.samples, jnp.float32), jnp.asarray(saved.mean), squares)
-    return Policy(normalizer, dict(zip(names, layers, strict=True)), std=jnp.zeros(()))
+    statistics = Normalizer(jnp.asarray(saved.samples, jnp.float32), jnp.asarray(saved.mean), squares)
+    return Policy(statistics, dict(zip(names, layers, strict=True)), std=jnp.zeros(()))
 
 
 @dataclass(frozen=True)
@@ -169,8 +159,6 @@ class ExportConfig:
 
 def main(config: ExportConfig) -> None:
     """Copy a run's policy to a file of its own, checked."""
-    from cassie_mjx import cli
-
     if config.which not in CHOICES:
         raise ValueError(f"which={config.which!r} is not known; choose one of {', '.join(CHOICES)}.")
     out, source = cli.check_writable(config.out), Path(config.run) / f"{config.which}.npz"
@@ -183,6 +171,4 @@ def main(config: ExportConfig) -> None:
 
 
 if __name__ == "__main__":
-    from cassie_mjx import cli
-
     cli.run(main, ExportConfig)

@@ -30,7 +30,8 @@ _UNREADABLE = (OSError, EOFError, ValueError, TypeError, KeyError, RuntimeError,
 class Mirror(NamedTuple):
     """How a policy that learned one of the stride's two steps takes the other: it sees and acts as in a mirror.
 
-    Reflections are lists of places, counted from 1: at i the image has what was at place |i|, with the sign of place i.
+    A reflection p is a list of integers: entry k of the image is sign(p[k]) times entry |p[k]| of the original, counted
+    from 1.
     """
 
     observation: np.ndarray
@@ -38,7 +39,8 @@ class Mirror(NamedTuple):
     action: np.ndarray
     """[10], the reflection of an action."""
     sides: np.ndarray
-    """[2], places of the reference's hip pitch, left and right, in an observation; in the second step left is less."""
+    """[2], where an observation has the reference's hip pitch angles, left and right, counted from 1. In the second
+    step the left one is less than the right one."""
 
     def second_step(self, observation: np.ndarray) -> np.ndarray:
         """Which observations [..., 80] are of the second step, [..., 1], bool."""
@@ -46,8 +48,8 @@ class Mirror(NamedTuple):
         return (observation[..., left] < observation[..., right])[..., None]
 
 
-MIRROR = tuple(f"mirror_{name}" for name in Mirror._fields)
-"""Names in the file of a policy that learned one step of what it has besides."""
+MIRROR_ARRAYS = tuple(f"mirror_{name}" for name in Mirror._fields)
+"""Arrays that the file of a policy with a mirror has besides."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class NumpyPolicy:
     provenance: Mapping[str, Any]
     """Where it came from: command, commit, versions, returns."""
     mirror: Mirror | None = None
-    """How it takes the second step, if it learned the first alone."""
+    """How it takes the second step, if it learned the first alone; mean and std are those of reflected observations."""
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Return the residuals on the reference angles of the active joints, rad, [10] or [B, 10].
@@ -151,7 +153,7 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         raise ValueError(f"{path} has version {content.get('version')}; this program reads version {VERSION}.")
     expected = {"format", "version", "provenance", "layers", *_ARRAYS, *_NUMBERS, *_LISTS}
     expected |= {f"{kind}_{i}" for kind in ("weight", "bias") for i in range(_layers(content))}
-    expected |= set(MIRROR) if MIRROR[0] in content else set()
+    expected |= set(MIRROR_ARRAYS) if MIRROR_ARRAYS[0] in content else set()
     if content.keys() != expected:
         raise ValueError(f"{path} is damaged: {', '.join(sorted(expected ^ content.keys()))} missing or too much.")
     return content
@@ -168,9 +170,9 @@ def _fields(content: dict[str, np.ndarray]) -> dict[str, Any]:
         raise ValueError(f"layers is {content['layers']}, and there are weights of {len(layers)}")
     if not (fields["std"] > 0).all():
         raise ValueError("std is to be above 0")
+    if MIRROR_ARRAYS[0] in content:
+        fields["mirror"] = Mirror(*(_integers(content, name) for name in MIRROR_ARRAYS))
     fields["provenance"] = json.loads(str(content["provenance"]))
-    if MIRROR[0] in content:
-        fields["mirror"] = Mirror(*(_array(content, name) for name in MIRROR))
     if not isinstance(fields["provenance"], dict):
         raise ValueError("provenance has no names")
     return fields
@@ -188,6 +190,14 @@ def _array(content: Mapping[str, np.ndarray], name: str) -> np.ndarray:
         raise ValueError(f"{name} does not hold numbers")
     if not np.isfinite(array).all():
         raise ValueError(f"{name} holds NaN or infinity")
+    return array
+
+
+def _integers(content: Mapping[str, np.ndarray], name: str) -> np.ndarray:
+    """The list of that name. Raise ValueError unless it holds integers."""
+    array = content[name]
+    if array.ndim != 1 or array.dtype.kind != "i":
+        raise ValueError(f"{name} is not a list of integers")
     return array
 
 
@@ -223,10 +233,13 @@ def _check_fit(policy: NumpyPolicy, path: Path) -> None:
     ):
         if array.shape != shape:
             raise ValueError(f"{path} does not fit together: {name} has shape {array.shape} instead of {shape}.")
-    mirror = policy.mirror or ()
-    for name, places, size, among in zip(MIRROR, mirror, (inputs, outputs, 2), (inputs, outputs, inputs), strict=False):
-        if places.shape != (size,) or not set(abs(places)) <= set(range(1, 1 + among)):
-            raise ValueError(f"{path} does not fit together: {name} is not {size} of the places 1 to {among}.")
+    if policy.mirror:
+        for name, places, size in zip(MIRROR_ARRAYS, policy.mirror, (inputs, outputs), strict=False):
+            if sorted(abs(places).tolist()) != list(range(1, 1 + size)):
+                raise ValueError(f"{path} does not fit together: {name} does not have each of 1 to {size} once.")
+        sides = policy.mirror.sides
+        if sides.shape != (2,) or sides[0] == sides[1] or not ((sides >= 1) & (sides <= inputs)).all():
+            raise ValueError(f"{path} does not fit together: mirror_sides is not two of 1 to {inputs}.")
     qpos, qvel = policy.reference_qpos.shape, policy.reference_qvel.shape
     if not len(qpos) == len(qvel) == 2 or qpos[0] != qvel[0] or qpos[0] == 0:
         raise ValueError(

@@ -26,6 +26,7 @@ from cassie_mjx.metrics import JsonLines, TensorBoard, Terminal
 from cassie_mjx.model import ModelConfig, load
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.ppo import networks
+from cassie_mjx.ppo.types import Policy
 from cassie_mjx.returns import referee, walk_returns
 from cassie_mjx.training import PRESETS, IterationMetrics, RunState, TrainConfig, Trainer, initial_policy, resolve
 
@@ -80,7 +81,7 @@ class Session:
         self.terminal = Terminal(console, config.ppo.iterations, self.done)
         self.sinks = self._sinks() if devices.is_first() else ()
         judge = NativePhysics(load(ModelConfig()), damping=config.walk.damping)
-        self.referee, self.act = referee(self.motion, judge, speeds), jax.jit(networks.mode)
+        self.referee, self.act = referee(self.motion, judge, speeds), jax.jit(self._act)
         self.lap = Lap()
         self.diagnosed = bool(max(devices.exchange((self.folder / "nan").exists())))
 
@@ -153,12 +154,15 @@ class Session:
         self.counters.train_s += seconds
         self.lap.train_s += seconds
 
+    def _act(self, policy: Policy, seen: jax.Array) -> jax.Array:
+        act = partial(networks.mode, policy)
+        return observation.symmetric(act)(seen) if self.config.walk.symmetric else act(seen)
+
     def _measure(self, metrics: IterationMetrics) -> None:
         """Measure the return, log it, and keep the policy."""
         began = time.perf_counter()
         walk, policy = self.config.walk, devices.own_copy(self.run.learner.policy)
-        act = partial(self.act, policy)
-        returns = walk_returns(observation.symmetric(act) if walk.symmetric else act, self.referee)
+        returns = walk_returns(partial(self.act, policy), self.referee)
         values = self._values(metrics, returns, time.perf_counter() - began)
         for sink in self.sinks:
             sink.write(values)

@@ -43,8 +43,8 @@ class SpeedsConfig:
     any_speed: str | None = "any"
     """Policy of all speeds; null for none."""
     runs: str = ""
-    """Folder of the runs <policy>-seed<seed> of `experiments.learning study=learning_speeds`, whose policies of one
-    speed are measured under the policy's name and the seed; if empty, those that come with the package are."""
+    """Folder of the runs <policy>-seed<seed> of `experiments.learning`, study=learning_speeds and, for 1x, walking:
+    their policies are measured under the policy's name and the seed; if empty, those that come with the package are."""
     training_seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of those runs."""
     profile_seed: int = 0

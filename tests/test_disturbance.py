@@ -195,8 +195,10 @@ def test_both_engines_draw_and_live_the_same(hills, motion):
 
 def test_bad_configurations(motion):
     for name in ("push_n", "push_backward", "push_pause_s", "terrain_m", "delay_s"):
-        with pytest.raises(ValueError, match=f"{name}=-1 must be from 0 to 1000."):
+        with pytest.raises(ValueError, match=f"{name}=-1 must be from 0 to 1"):
             DisturbanceConfig(**{name: -1})
+    with pytest.raises(ValueError, match="push_backward=1.1 must be from 0 to 1."):
+        DisturbanceConfig(push_backward=1.1)
     with pytest.raises(ValueError, match=r"delay_s=0.01 is 10 physics steps; this engine was made for 0 to 0\."):
         make(NativePhysics(load(MODEL)), motion, DisturbanceConfig(delay_s=0.01))
 

@@ -16,8 +16,9 @@ from cassie_mjx.config import PPOConfig
 from cassie_mjx.envs import observation
 from cassie_mjx.envs.walk import WalkConfig, WalkEnv
 from cassie_mjx.export import learner_policy, save_policy
-from cassie_mjx.model import ModelConfig, load
+from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx
 from cassie_mjx.numpy_policy import Mirror, NumpyPolicy
+from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance
 from cassie_mjx.ppo import learner, networks
@@ -96,6 +97,36 @@ def test_images_act_as_images(policy, path, states):
     assert NumpyPolicy.load(path)(seen[0]).shape == (robot.NU,)
 
 
+def states_of(env, act, delay):
+    """Of every control step the state after it, up to the second episode of those that last 5 steps."""
+    disturbance = replace(Disturbance.none(22), delay=np.full(22, delay, np.int32))
+    state = env.reset_at(np.arange(22), disturbance)
+    for number in range(7):
+        state = env.step(state, np.asarray(act(state.observation)), jax.random.key(number))
+        yield state
+
+
+@pytest.mark.parametrize(("engine", "speeds"), [("native", (1.0, 1.0)), ("native", (0.0, 4.0)), ("mjx", (1.0, 1.0))])
+def test_a_policy_does_in_both_steps_what_it_learned_in_one(motion, policy, engine, speeds):
+    if engine == "native":
+        physics, delay = NativePhysics(load(ModelConfig(physics_hz=500)), max_delay=3), 3
+    else:
+        physics, delay = MjxPhysics(load_for_mjx(replace(MJX_TRAINING, physics_hz=500))), 0
+    task, mode = WalkConfig(episode_steps=5), jax.jit(partial(networks.mode, policy))
+    trained = WalkEnv(physics, motion, replace(task, symmetric=True), 22, speeds)
+    deployed = WalkEnv(physics, motion, task, 22, speeds)
+    both = jax.jit(observation.symmetric(partial(networks.mode, policy)))
+    ended = 0
+    for ours, theirs in zip(states_of(trained, mode, delay), states_of(deployed, both, delay), strict=True):
+        np.testing.assert_allclose(ours.physics.qpos, theirs.physics.qpos, atol=1e-6)
+        np.testing.assert_allclose(ours.reward, theirs.reward, atol=1e-6)
+        np.testing.assert_allclose(ours.observation, observation.folded(theirs.observation), atol=1e-5)
+        np.testing.assert_allclose(ours.final_observation, observation.folded(theirs.final_observation), atol=1e-5)
+        assert not np.allclose(ours.observation, theirs.observation, atol=0.1)
+        ended += int(np.sum(ours.truncated))
+    assert ended
+
+
 @pytest.mark.parametrize("symmetric", [True, False])
 def test_robots_half_a_stride_apart_live_the_same_step(motion, symmetric):
     physics = NativePhysics(load(ModelConfig(physics_hz=500)))
@@ -125,8 +156,10 @@ def test_a_run_measures_what_its_policy_file_has(tmp_path):
 def test_training_goes_on_from_any_policy_that_fits(path, tmp_path):
     session(tmp_path / "first").train()
     network = replace(TINY, hidden_sizes=(256, 256))
-    assert session(tmp_path / "a", init=str(tmp_path / "first"), walk=WalkConfig(symmetric=True))
-    assert session(tmp_path / "b", init=str(path), walk=WalkConfig(symmetric=True), ppo=network)
+    for source, ppo in ((tmp_path / "first" / "best.npz", TINY), (path, network)):
+        begun = session(tmp_path / source.stem, init=str(source), walk=WalkConfig(symmetric=True), ppo=ppo)
+        kernel, _ = networks.layers(begun.run.learner.policy.actor)[0]
+        np.testing.assert_array_equal(kernel, NumpyPolicy.load(source).weights[0][0])
     with pytest.raises(ValueError, match=r"policy\.npz learned one step of the stride alone; set walk\.symmetric=true"):
         session(tmp_path / "c", init=str(path), ppo=network)
     assert not (tmp_path / "c").exists()
@@ -137,10 +170,15 @@ def test_training_goes_on_from_any_policy_that_fits(path, tmp_path):
     [
         ({"mirror_action": None}, "mirror_action missing or too much"),
         ({"mirror_observation": None}, "mirror_action, mirror_sides missing or too much"),
-        ({"mirror_observation": np.arange(1, 80)}, "mirror_observation is not 80 of the places 1 to 80"),
-        ({"mirror_action": np.arange(10)}, "mirror_action is not 10 of the places 1 to 10"),
-        ({"mirror_sides": np.array([49, 81])}, "mirror_sides is not 2 of the places 1 to 80"),
-        ({"mirror_sides": np.array([np.nan, 1])}, "mirror_sides holds NaN"),
+        ({"mirror_observation": np.arange(1, 80)}, "mirror_observation does not have each of 1 to 80 once"),
+        ({"mirror_action": np.arange(10)}, "mirror_action does not have each of 1 to 10 once"),
+        ({"mirror_action": np.ones(10, int)}, "mirror_action does not have each of 1 to 10 once"),
+        ({"mirror_sides": np.array([49, 81])}, "mirror_sides is not two of 1 to 80"),
+        ({"mirror_sides": np.array([-54, -61])}, "mirror_sides is not two of 1 to 80"),
+        ({"mirror_sides": np.array([54, 54])}, "mirror_sides is not two of 1 to 80"),
+        ({"mirror_sides": np.array([54, 61, 1])}, "mirror_sides is not two of 1 to 80"),
+        ({"mirror_sides": np.array([54.0, 61.0])}, "mirror_sides is not a list of integers"),
+        ({"mirror_sides": np.array(54)}, "mirror_sides is not a list of integers"),
     ],
 )
 def test_a_mirror_that_does_not_fit_is_refused(path, change, sentence):

@@ -120,10 +120,10 @@ def test_a_run_that_died_between_checkpoints_goes_on_from_the_last(unbroken, tmp
 def die_at_the_second_evaluation():
     from cassie_mjx.train import save_policy
 
-    def save(path, policy, motion, speed, damping, provenance):
+    def save(path, policy, motion, speed, damping, provenance, symmetric):
         if provenance["samples"] == 4 * TINY.num_samples:
             raise RuntimeError
-        save_policy(path, policy, motion, speed, damping, provenance)
+        save_policy(path, policy, motion, speed, damping, provenance, symmetric)
 
     return save
 

@@ -72,7 +72,7 @@ class CassieEnv(PipelineEnv):
         return self._view(self._walk.reset(rng))
 
     def step(self, state: State, action: jax.Array) -> State:
-        """One control step of 32 ms; `action` [10] is the residual on the reference angles, rad."""
+        """One control step of 32 ms; `action` [10] is the residual on the reference angles (`WalkEnv.step`), rad."""
         # Brax's AutoResetWrapper starts the next episode, so the start that the task itself would draw is never used.
         walked = self._walk.step(cast(WalkState, state.pipeline_state), action[None], jax.random.PRNGKey(0))
         after = self._view(walked)

@@ -21,12 +21,12 @@ TERRAIN_HEIGHTS = 8
 
 @dataclass(frozen=True)
 class DisturbanceConfig:
-    """How far robots are disturbed; the default is not at all. Draws are uniform from 0 to the value given here."""
+    """How far robots are disturbed; the default is not at all. What is drawn is uniform from 0 to the value given."""
 
     push_n: float = 0.0
     """Force of a push at the pelvis, N: horizontal, in any direction, for 0.2 s, one push after the other."""
     push_backward: float = 1.0
-    """Factor on the backward part of a push; robots bear less of it than of the others."""
+    """Factor on what a push has along -x, 0 to 1: backward, robots bear only weaker pushes than in other directions."""
     push_pause_s: float = 4.0
     """Time from the start of the episode, or from the end of the push before, to a push, s."""
     terrain_m: float = 0.0
@@ -37,9 +37,9 @@ class DisturbanceConfig:
     def __post_init__(self) -> None:
         """Raise ValueError for a value out of range."""
         for field in fields(self):
-            value = getattr(self, field.name)
-            if not 0 <= value <= 1000:
-                raise ValueError(f"{field.name}={value} must be from 0 to 1000.")
+            value, largest = getattr(self, field.name), 1 if field.name == "push_backward" else 1000
+            if not 0 <= value <= largest:
+                raise ValueError(f"{field.name}={value} must be from 0 to {largest}.")
 
     @property
     def active(self) -> bool:

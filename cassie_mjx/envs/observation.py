@@ -73,10 +73,13 @@ def mirror(seen: Array) -> Array:
 
 
 def second_step(hip_pitch: Array) -> jax.Array:
-    """Whether a reference is in the second of its two steps, which are mirror images, [..., 1], bool.
+    """Whether a reference is in the second of its two steps, mirror images: left hip pitch less than the right one's.
 
     Args:
-      hip_pitch: its hip pitch angles, left and right, [..., 2], rad.
+      hip_pitch: the reference's hip pitch angles, left and right, [..., 2], rad.
+
+    Returns:
+      [..., 1], bool.
     """
     left, right = jnp.split(hip_pitch, 2, axis=-1)
     return left < right
@@ -87,17 +90,26 @@ def folded(seen: Array) -> jax.Array:
     return jnp.where(second_step(seen[..., REFERENCE_HIP_PITCH]), mirror(seen), seen)
 
 
+def unfolded(action: jax.Array, hip_pitch: Array) -> jax.Array:
+    """What actions [..., 10] on folded observations are in the world: those of the second step as in a mirror.
+
+    Args:
+      action: residuals on the reference angles of the active joints, rad.
+      hip_pitch: the reference's hip pitch angles, left and right, [..., 2], rad.
+    """
+    image: jax.Array = robot.mirror_active(action)
+    return jnp.where(second_step(hip_pitch), image, action)
+
+
 def symmetric(act: Callable[[jax.Array], jax.Array]) -> Callable[[Array], jax.Array]:
-    """The policy of both steps that acts in the second as `act` does in the first, as in a mirror.
+    """The policy of both steps that does in the second, as in a mirror, what `act` does in the first.
 
     Args:
       act: observations [..., 80] to actions [..., 10].
     """
 
     def act_in_both(seen: Array) -> jax.Array:
-        action = act(folded(seen))
-        image: jax.Array = robot.mirror_active(action)
-        return jnp.where(second_step(seen[..., REFERENCE_HIP_PITCH]), image, action)
+        return unfolded(act(folded(seen)), seen[..., REFERENCE_HIP_PITCH])
 
     return act_in_both
 

@@ -38,7 +38,8 @@ class WalkState:
       physics: state of the engine.
       disturbance: what acts on the robots besides their motors.
       clock: where they are along the reference motion.
-      observation: what the policy acts on next, [B, 80].
+      observation: what the policy acts on next, [B, 80]; in a symmetric task `observation.folded`, and so is the final
+        one.
       final_observation: what the last step led to, before any reset, [B, 80].
       privileged: what no robot senses but a critic may see, [B, 1]: how far it is ahead of the reference motion, in
         units of 0.25 m, within +-10.

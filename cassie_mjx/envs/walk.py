@@ -212,8 +212,8 @@ class WalkEnv:
 
         Args:
           state: before the step.
-          action: residual on the reference angles of the active joints, [B, 10], rad; in a symmetric task that of the
-            robot that was observed, which in the second step of the stride is a mirror image.
+          action: residual on the reference angles of the active joints, [B, 10], rad; in a symmetric task as in a
+            mirror where the reference is in its second step, as the observation was.
           key: for new episodes, for commanded speeds, and for disturbances.
         """
         target = _beside(state.physics, self._target(state.clock, action))
@@ -231,8 +231,7 @@ class WalkEnv:
     def _pd_target(self, clock: Clock, action: jax.Array) -> jax.Array:
         reference, _ = clocks.reference(self.motion, clock, ahead=1)
         if self.config.symmetric:
-            image: jax.Array = robot.mirror_active(action)
-            action = jnp.where(observation.second_step(reference[:, observation.HIP_PITCH]), image, action)
+            action = observation.unfolded(action, reference[:, observation.HIP_PITCH])
         return reference[:, robot.ACTIVE_QPOS] + action
 
     def _draw(self, key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array, StartOffset]:
