@@ -78,8 +78,6 @@ PAPER = {
     CRITIC: "1e-2",
 }
 DEFAULT = Variant("1x", {})
-OTHER_SPEEDS = tuple(Variant(speed, {"speed": speed, "init": "1x"}) for speed in ("0x", "2x", "3x", "4x"))
-
 ROBUST = {"walk": "robust", "ppo.final_action_std": "0.05"}
 GENTLER = {
     "walk.disturbance.push_n": "250",
@@ -87,6 +85,8 @@ GENTLER = {
     "ppo.action_std": "0.05",
     "ppo.iterations": "750",
 }
+ROBUST_FIRST = Variant("1x-robust-first", ROBUST | {"init": "1x", "ppo.iterations": "600"})
+OTHER_SPEEDS = tuple(Variant(speed, {"speed": speed, "init": "1x"}) for speed in ("0x", "2x", "3x", "4x"))
 
 LATER = {"init": None, "ppo.privileged_critic": False, "ppo.final_action_std": None}
 LATER |= {
@@ -115,8 +115,12 @@ STUDIES = {
         Variant("any", {"speed": "any", "init": "{runs}/any-first-seed{seed}"}, (0,)),
     ),
     "robust": (
-        Variant("1x-robust-first", ROBUST | {"init": "1x", "ppo.iterations": "600"}),
+        ROBUST_FIRST,
         Variant("1x-robust", ROBUST | GENTLER | {"init": "{runs}/1x-robust-first-seed{seed}"}),
+    ),
+    "symmetry": (
+        ROBUST_FIRST,
+        Variant("1x-robust-first-both-steps", dict(ROBUST_FIRST.settings) | {"walk.symmetric": "false"}),
     ),
     "warm_start": (OTHER_SPEEDS[-1], Variant("4x-from-scratch", {"speed": "4x"}, (0,))),
     # What the paper prints, a tenth of its step sizes, and readings that differ from the printed one in a single point.

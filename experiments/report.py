@@ -26,6 +26,7 @@ STUDIES = {
     "rate": "Learning with physics at 500 Hz, and at 1 kHz",
     "learning_speeds": "Learning other speeds from the 1x policy, and all of them from scratch",
     "robust": "Learning under pushes, terrain and delay, and going on with less noise",
+    "symmetry": "Learning under disturbances one step of the stride, the other as in a mirror, and both",
     "warm_start": "Learning 4x from the 1x policy, and from scratch",
     "paper": "The paper's learner as printed, and readings that differ in one point",
 }
@@ -61,8 +62,7 @@ DEFINITIONS = (
 def whole_page(folder: Path) -> str:
     """The web page, which needs no other file."""
     sections = [compared(folder), *learned(folder), pushed(folder), survived(folder), strode(folder), sped(folder)]
-    sections.append(told_speeds(folder))
-    sections += walked_twice(folder)
+    sections += [*variants_compared(folder), *walked_twice(folder)]
     return page.document("Cassie MJX: what has been measured", INTRODUCTION, sections)
 
 
@@ -194,15 +194,30 @@ def sped(folder: Path) -> str:
     return section("Speeds and blends", "Policies for other speeds, and changing between them.", body, sources, command)
 
 
-def told_speeds(folder: Path) -> str:
-    """The policy of all speeds in the paper's experiments."""
-    found = tables.any_beside_single_speeds(folder)
-    results = [result for _, results in tables.all_speeds(folder) for result in results] if found else []
-    text = "One policy that is told its speed, beside policies that were trained at one."
-    command = (
-        "python -m cassie_mjx.evaluate policy=any speed=2x suite=all out=experiments/results/evaluate/any-2x-seed0.json"
-    )
-    return section("One policy for all speeds", text, table(found) if found else "", results, command)
+def variants_compared(folder: Path) -> list[str]:
+    """Policies side by side in the paper's experiments."""
+    sections = []
+    for title, text, patterns, arguments in (
+        (
+            "One policy for all speeds",
+            "One policy that is told its speed, beside policies that were trained at one.",
+            tables.ALL_SPEEDS,
+            "policy=any speed=2x suite=all out=experiments/results/evaluate/any-2x-seed0.json",
+        ),
+        (
+            "One step or both",
+            "The first stage of the robust training, of one step of the stride, the other being its mirror image, and "
+            "of both.",
+            tables.STEPS,
+            "policy=runs/studies/1x-robust-first-seed0 suite=push "
+            "out=experiments/results/evaluate/1x-robust-first-seed0.json",
+        ),
+    ):
+        found = tables.beside_each_other(folder, patterns)
+        results = [result for _, results in tables.matching(folder, patterns) for result in results] if found else []
+        command = f"python -m cassie_mjx.evaluate {arguments}"
+        sections.append(section(title, text, table(found) if found else "", results, command))
+    return sections
 
 
 def walked_twice(folder: Path) -> list[str]:
@@ -240,7 +255,8 @@ def block(folder: Path) -> str:
     found = [
         tables.beside_the_paper(folder),
         tables.speeds_and_blends(folder),
-        tables.any_beside_single_speeds(folder),
+        tables.beside_each_other(folder, tables.ALL_SPEEDS),
+        tables.beside_each_other(folder, tables.STEPS),
     ]
     return "\n\n".join(tables.markdown(content) for content in found if content)
 

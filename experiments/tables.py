@@ -94,6 +94,11 @@ ALL_SPEEDS = {
     "any speed=2x": "evaluate/any-2x-seed*.json",
 }
 """The same for the policy of all speeds beside those of one."""
+STEPS = {
+    "1x-robust-first": "evaluate/1x-robust-first-seed*.json",
+    "1x-robust-first-both-steps": "evaluate/1x-robust-first-both-steps-seed*.json",
+}
+"""The same for policies that learned one step of the stride, the other being its mirror image, beside those of both."""
 
 
 def walkers(folder: Path, measurement: str = "") -> list[tuple[str, list[Result]]]:
@@ -101,15 +106,11 @@ def walkers(folder: Path, measurement: str = "") -> list[tuple[str, list[Result]
 
     Those of other measurements have the names of the evaluations, in a folder of the measurement's name.
     """
-    return _measured(folder, {w: f"{measurement}/{Path(p).name}" if measurement else p for w, p in WALKERS.items()})
+    return matching(folder, {w: f"{measurement}/{Path(p).name}" if measurement else p for w, p in WALKERS.items()})
 
 
-def all_speeds(folder: Path) -> list[tuple[str, list[Result]]]:
-    """The same of `ALL_SPEEDS`."""
-    return _measured(folder, ALL_SPEEDS)
-
-
-def _measured(folder: Path, patterns: Mapping[str, str]) -> list[tuple[str, list[Result]]]:
+def matching(folder: Path, patterns: Mapping[str, str]) -> list[tuple[str, list[Result]]]:
+    """The results that match each walker's glob pattern, of those walkers that have any."""
     found = [(walker, find(folder, pattern)) for walker, pattern in patterns.items()]
     for walker, results in found:
         for result in results:
@@ -220,15 +221,16 @@ def beside_the_paper(folder: Path) -> Table:
     return Table(header, rows, [*notes, sources([r for _, found in measured for r in found])])
 
 
-def any_beside_single_speeds(folder: Path) -> Table | None:
-    """The policy of all speeds beside those of one, in the paper's experiments; None before it has a result."""
-    measured = all_speeds(folder)
-    if not any(walker.startswith("any") for walker, _ in measured):
+def beside_each_other(folder: Path, patterns: Mapping[str, str]) -> Table | None:
+    """Walkers in the paper's experiments; None unless two have results, one of them beyond the `WALKERS`."""
+    found = matching(folder, patterns)
+    if len(found) < 2 or {walker for walker, _ in found} <= WALKERS.keys():
         return None
-    rows = [(row.experiment, *values, f"suite={row.suite}") for row, values in _cells(measured).items()]
-    note = f"By {EVALUATE} with the row's argument and, for `any`, the column's."
-    header = ("MuJoCo C, 2 kHz", *_headings(measured), "command")
-    return Table(header, rows, [note, sources([r for _, found in measured for r in found])])
+    rows = [(row.experiment, *values, f"suite={row.suite}") for row, values in _cells(found).items()]
+    told = " and, for `any`, the column's" if any(" speed=" in walker for walker, _ in found) else ""
+    note = f"By {EVALUATE} with the row's argument{told}."
+    header = ("MuJoCo C, 2 kHz", *_headings(found), "command")
+    return Table(header, rows, [note, sources([r for _, results in found for r in results])])
 
 
 def _cells(measured: Sequence[tuple[str, list[Result]]]) -> dict[Row, list[str]]:

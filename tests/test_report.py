@@ -150,7 +150,7 @@ def test_what_was_not_measured_is_named_and_never_shown(everything, tmp_path):
     empty.mkdir()
     assert tables.beside_the_paper(empty).rows == []
     assert tables.speeds_and_blends(empty) is None
-    assert whole_page(empty).count("Not measured yet. ") == 17
+    assert whole_page(empty).count("Not measured yet. ") == 19
 
 
 def test_speeds_and_blends(everything):
@@ -170,9 +170,9 @@ def test_speeds_and_blends(everything):
 
 
 def test_the_policy_of_all_speeds_stands_beside_those_of_one(everything):
-    assert tables.any_beside_single_speeds(everything) is None
+    assert tables.beside_each_other(everything, tables.ALL_SPEEDS) is None
     write(everything, "evaluate/any-2x-seed0.json", figures(push_forward_N=90, terrain_h_m=0.2), {"speed": "2x"})
-    table = tables.any_beside_single_speeds(everything)
+    table = tables.beside_each_other(everything, tables.ALL_SPEEDS)
     assert table is not None
     assert table.header[1:-1] == (
         "`1x`, mean of 3 training seeds (least to greatest)",
@@ -180,6 +180,17 @@ def test_the_policy_of_all_speeds_stands_beside_those_of_one(everything):
     )
     assert row_of(table, "push forward, worst")["`any speed=2x`, training seed 0"] == "90"
     assert row_of(table, "undisturbed")["`any speed=2x`, training seed 0"] == "–"
+    assert tables.markdown(table) in block(everything)
+
+
+def test_policies_of_one_step_stand_beside_those_of_both(everything):
+    write(everything, "evaluate/1x-robust-first-seed0.json", figures(push_backward_N=150))
+    assert tables.beside_each_other(everything, tables.STEPS) is None
+    write(everything, "evaluate/1x-robust-first-both-steps-seed0.json", figures(push_backward_N=90))
+    table = tables.beside_each_other(everything, tables.STEPS)
+    assert table is not None
+    assert [row[1:3] for row in table.rows] == [("150", "90")]
+    assert "for `any`" not in table.notes[0]
     assert tables.markdown(table) in block(everything)
 
 
