@@ -128,8 +128,9 @@ def learned_under_disturbances():
     minutes = [sum(run["curve"]["train_s"][-1] for run in pair) / 60 for pair in zip(first, second, strict=True)]
     yield f"({before / 1e6:.1f} M and {after / 1e6:.1f} M samples, {min(minutes):.0f} to {max(minutes):.0f} min"
     evaluations = [f"evaluate/1x-robust-seed{seed}" for seed in range(3)]
-    weakest = [rows(name, quantity="push_backward_N")[0]["value"] for name in evaluations]
-    yield f"backward {min(weakest):.0f} to {max(weakest):.0f} N"
+    for side in ("forward", "backward"):
+        weakest = [rows(name, quantity=f"push_{side}_N")[0]["value"] for name in evaluations]
+        yield f"{side} {min(weakest):.0f} to {max(weakest):.0f} N"
 
 
 def learned_of_one_step():
