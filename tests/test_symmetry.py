@@ -1,6 +1,5 @@
 """A policy that learns one of the stride's two steps, and takes the other as in a mirror."""
 
-import io
 import json
 from dataclasses import replace
 from functools import partial
@@ -9,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from rich.console import Console
+from tiny import TINY, session
 
 from cassie_mjx import reference, robot
 from cassie_mjx.config import PPOConfig
@@ -24,22 +23,6 @@ from cassie_mjx.physics.types import Disturbance
 from cassie_mjx.ppo import learner, networks
 from cassie_mjx.subjects import resolve
 from cassie_mjx.suites import Setting
-from cassie_mjx.train import Session, TrainConfig
-
-TINY = PPOConfig(
-    num_robots=4,
-    num_steps=8,
-    iterations=2,
-    updates_per_iteration=3,
-    minibatch_size=16,
-    hidden_sizes=(16, 16),
-    normalizer_samples=64,
-)
-
-
-def session(folder, **changes):
-    config = TrainConfig(ppo=TINY, physics="native", evaluate_every=2, run_dir=str(folder))
-    return Session(replace(config, **changes), Console(file=io.StringIO()))
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,11 @@ import jax
 import mujoco
 import numpy as np
 import pytest
+import tiny
 from rich.console import Console
 
 from cassie_mjx import checkpoint, hydra_cli, train
-from cassie_mjx.config import PPO_PRESETS, PPOConfig, speed_factor, speed_factors
+from cassie_mjx.config import PPO_PRESETS, speed_factor, speed_factors
 from cassie_mjx.envs.walk import WALK_PRESETS
 from cassie_mjx.metrics import Terminal
 from cassie_mjx.numpy_policy import NumpyPolicy
@@ -25,23 +26,15 @@ from cassie_mjx.reference import resolve as resolve_motion
 from cassie_mjx.train import Session, TrainConfig
 from cassie_mjx.training import PRESETS, Trainer, resolve
 
-TINY = PPOConfig(
-    num_robots=4,
-    num_steps=8,
-    iterations=6,
-    updates_per_iteration=3,
-    minibatch_size=16,
-    hidden_sizes=(16, 16),
-    normalizer_samples=64,
-)
+TINY = replace(tiny.TINY, iterations=6)
 
 
 def config(folder, **changes):
-    return TrainConfig(ppo=TINY, physics="native", evaluate_every=2, run_dir=str(folder), **changes)
+    return tiny.config(folder, **{"ppo": TINY} | changes)
 
 
 def session(folder, **changes):
-    return Session(config(folder, **changes), Console(file=io.StringIO()))
+    return tiny.session(folder, **{"ppo": TINY} | changes)
 
 
 def lines(folder):

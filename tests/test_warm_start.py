@@ -8,30 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from rich.console import Console
+from tiny import TINY, session
 
 from cassie_mjx import checkpoint
-from cassie_mjx.config import PPOConfig
 from cassie_mjx.envs.disturbance import DisturbanceConfig
 from cassie_mjx.envs.walk import WalkConfig
 from cassie_mjx.numpy_policy import NumpyPolicy
 from cassie_mjx.ppo import networks
 from cassie_mjx.train import Session, TrainConfig
 
-TINY = PPOConfig(
-    num_robots=4,
-    num_steps=8,
-    iterations=2,
-    updates_per_iteration=3,
-    minibatch_size=16,
-    hidden_sizes=(16, 16),
-    normalizer_samples=64,
-)
 ALL = WalkConfig(disturbance=DisturbanceConfig(push_n=100, push_pause_s=0.1, terrain_m=0.1, delay_s=0.004))
-
-
-def session(folder, **changes):
-    config = TrainConfig(ppo=TINY, physics="native", evaluate_every=2, run_dir=str(folder))
-    return Session(replace(config, **changes), Console(file=io.StringIO()))
 
 
 def last_state(folder):

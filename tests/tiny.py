@@ -1,0 +1,27 @@
+"""A training run of seconds."""
+
+import io
+from dataclasses import replace
+
+from rich.console import Console
+
+from cassie_mjx.config import PPOConfig
+from cassie_mjx.train import Session, TrainConfig
+
+TINY = PPOConfig(
+    num_robots=4,
+    num_steps=8,
+    iterations=2,
+    updates_per_iteration=3,
+    minibatch_size=16,
+    hidden_sizes=(16, 16),
+    normalizer_samples=64,
+)
+
+
+def config(folder, **changes):
+    return replace(TrainConfig(ppo=TINY, physics="native", evaluate_every=2, run_dir=str(folder)), **changes)
+
+
+def session(folder, **changes):
+    return Session(config(folder, **changes), Console(file=io.StringIO()))
