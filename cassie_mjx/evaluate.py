@@ -14,12 +14,12 @@ from rich.status import Status
 from rich.table import Table
 
 from cassie_mjx import cli
-from cassie_mjx.subjects import SubjectConfig
-from cassie_mjx.suites import ALL, ENGINES, SUITES, Setting
+from cassie_mjx.agents.make import AgentConfig
+from cassie_mjx.evaluation.suites import ALL, ENGINES, SUITES, Setting
 
 
 @dataclass(frozen=True)
-class EvaluateConfig(SubjectConfig):
+class EvaluateConfig(AgentConfig):
     """What to measure."""
 
     suite: str = "all"

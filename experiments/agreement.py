@@ -15,11 +15,13 @@ import numpy as np
 from mujoco import mjx
 from rich.console import Console
 
-from cassie_mjx import cli, robot
-from cassie_mjx.model import MJX_TRAINING, load, load_for_mjx, loop_error, servo_model, standing
+from cassie_mjx import cli
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.loops import loop_error
+from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model, load_model, servo_model, standing
 
 CONVERGED = replace(MJX_TRAINING, iterations=50, ls_iterations=50)
 
@@ -51,15 +53,15 @@ def draw(config: AgreementConfig, model: mujoco.MjModel, speed: float) -> tuple[
     """Standing robots with random velocities and PD targets: qpos, qvel, targets."""
     rng = np.random.default_rng(config.seed)
     qpos = np.tile(standing(model), (config.robots, 1))
-    qvel = speed * rng.normal(size=(config.robots, robot.NV))
+    qvel = speed * rng.normal(size=(config.robots, cassie.NV))
     qvel = np.stack([loop_consistent(model, q, v) for q, v in zip(qpos, qvel, strict=True)])
-    return qpos, qvel, robot.STANDING_TARGET + 0.1 * rng.normal(size=(config.robots, robot.NU))
+    return qpos, qvel, cassie.STANDING_TARGET + 0.1 * rng.normal(size=(config.robots, cassie.NU))
 
 
 def compare_accelerations(config: AgreementConfig, speed: float) -> dict[str, Any]:
     """Largest difference of qacc over states and degrees of freedom, with and without J̇v."""
     with jax.enable_x64(True):
-        servo = servo_model(load(CONVERGED))
+        servo = servo_model(load_model(CONVERGED))
         servo.opt.tolerance = 0
         qpos, qvel, targets = draw(config, servo, speed)
         data = mujoco.MjData(servo)
@@ -68,7 +70,7 @@ def compare_accelerations(config: AgreementConfig, speed: float) -> dict[str, An
             data.qpos[:], data.qvel[:], data.ctrl[:], data.qacc_warmstart[:] = q, v, target, 0
             mujoco.mj_forward(servo, data)
             expected.append(data.qacc.copy())
-        physics = MjxPhysics(load_for_mjx(CONVERGED))
+        physics = MjxPhysics(load_mjx_model(CONVERGED))
         found = {term: accelerations(physics, qpos, qvel, targets, term) for term in (True, False)}
     difference = {term: np.abs(qacc - expected) for term, qacc in found.items()}
     return {
@@ -87,11 +89,11 @@ def accelerations(
     """Qacc [B, 32] of MJX under the PD law; without the loops' bias as `mjx.forward` has it."""
 
     def one(q: jax.Array, v: jax.Array, target: jax.Array) -> jax.Array:
-        torque = robot.pd_torque(target, q[robot.ACTIVE_QPOS], v[robot.ACTIVE_QVEL])
+        torque = cassie.pd_torque(target, q[cassie.ACTIVE_QPOS], v[cassie.ACTIVE_QVEL])
         d = mjx.make_data(physics.model).replace(qpos=q, qvel=v)
         if with_bias:
             return physics.dynamics(d, torque, jnp.zeros(3), jnp.zeros(())).qacc
-        applied = jnp.zeros(robot.NV).at[robot.ACTIVE_QVEL].set(torque)
+        applied = jnp.zeros(cassie.NV).at[cassie.ACTIVE_QVEL].set(torque)
         return mjx.forward(mjx.put_model(physics.model), d.replace(qfrc_applied=applied)).qacc
 
     return np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(qpos), jnp.asarray(qvel), jnp.asarray(targets)))
@@ -99,7 +101,7 @@ def accelerations(
 
 def compare_motion(config: AgreementConfig, speed: float) -> list[dict[str, Any]]:
     """Differences after 1 and 10 control steps in float32, at the rate and with the settings of training."""
-    c, x = NativePhysics(load(replace(MJX_TRAINING, iterations=100))), MjxPhysics(load_for_mjx(MJX_TRAINING))
+    c, x = NativePhysics(load_model(replace(MJX_TRAINING, iterations=100))), MjxPhysics(load_mjx_model(MJX_TRAINING))
     qpos, qvel, targets = draw(config, c.model, speed)
     theirs = c.init(qpos, qvel)
     ours = x.init(qpos.astype(np.float32), qvel.astype(np.float32))
@@ -115,7 +117,7 @@ def compare_motion(config: AgreementConfig, speed: float) -> list[dict[str, Any]
                     "speed": speed,
                     "control_steps": step,
                     "pelvis_difference_max_mm": 1000 * float(difference[:, :3].max()),
-                    "joint_difference_max_mrad": 1000 * float(difference[:, robot.ACTIVE_QPOS].max()),
+                    "joint_difference_max_mrad": 1000 * float(difference[:, cassie.ACTIVE_QPOS].max()),
                     "loop_error_max_mm": 1000 * float(loop_error(c.model, np.asarray(ours.qpos)).max()),
                     "loop_error_max_mm_mujoco_c": 1000 * float(loop_error(c.model, theirs.qpos).max()),
                 }

@@ -13,13 +13,14 @@ import numpy as np
 from rich.console import Console
 
 from cassie_mjx import cli
-from cassie_mjx.controller import CONTROLLERS
-from cassie_mjx.envs.disturbance import PUSH_S
-from cassie_mjx.model import CONTROL_PERIOD_S, WALKING_PAIRS, ModelConfig, load
+from cassie_mjx.agents.heuristic import HeuristicAgent
+from cassie_mjx.envs.scenario import PUSH_S
+from cassie_mjx.evaluation.steady import walked
+from cassie_mjx.evaluation.suites import DIRECTIONS, LIMIT_PHASES
+from cassie_mjx.evaluation.trial import Trial, disturbances, fallen, placed
+from cassie_mjx.heuristic.config import CONTROLLERS
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.subjects import ControllerSubject, walked
-from cassie_mjx.suites import DIRECTIONS, LIMIT_PHASES
-from cassie_mjx.trials import Trial, disturbances, fallen, placed
+from cassie_mjx.robot.model import CONTROL_PERIOD_S, WALKING_PAIRS, ModelConfig, load_model
 
 FAR_M = 0.5
 
@@ -38,8 +39,8 @@ class ContactsConfig:
 
 def trajectories(name: str, push_n: float, seconds: float) -> np.ndarray:
     """Qpos [samples, 35], every 32 ms, of a controller's robots that stay up."""
-    physics = NativePhysics(load(ModelConfig(contacts="published")))
-    subject = ControllerSubject(name)
+    physics = NativePhysics(load_model(ModelConfig(contacts="published")))
+    subject = HeuristicAgent(name)
     starts = subject.start(physics, LIMIT_PHASES)
     phases = range(len(LIMIT_PHASES))
     trials = [Trial(k, seconds, push=(push_n * x, push_n * y)) for x, y in DIRECTIONS.values() for k in phases]
@@ -54,7 +55,7 @@ def trajectories(name: str, push_n: float, seconds: float) -> np.ndarray:
 
 def smallest_distances(qpos: np.ndarray) -> dict[str, float]:
     """Smallest distance between the geoms of each pair over qpos [samples, 35], m; negative where they overlap."""
-    model = load(ModelConfig(contacts="published"))
+    model = load_model(ModelConfig(contacts="published"))
     data = mujoco.MjData(model)
     smallest = np.full(model.npair, FAR_M)
     for configuration in qpos:

@@ -14,14 +14,14 @@ from typing import Any
 from rich.console import Console
 
 from cassie_mjx import cli
+from cassie_mjx.agents.numpy_policy import NumpyPolicy
+from cassie_mjx.agents.policy import PolicyAgent
 from cassie_mjx.envs.walk import WalkConfig, WalkEnv
-from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx, steps_per_control
-from cassie_mjx.numpy_policy import NumpyPolicy
+from cassie_mjx.evaluation.returns import EPISODE_STEPS, STARTS, walk_returns
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Physics
-from cassie_mjx.returns import EPISODE_STEPS, STARTS, walk_returns
-from cassie_mjx.subjects import PolicySubject
+from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_mjx_model, load_model, steps_per_control
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class EnginesConfig:
 def engines(rate: int, damping: float) -> dict[str, Physics]:
     """Both engines at a physics rate, with a factor on the D gains."""
     return {
-        "native": NativePhysics(load(ModelConfig(physics_hz=rate)), damping=damping),
-        "mjx": MjxPhysics(load_for_mjx(replace(MJX_TRAINING, physics_hz=rate)), damping=damping),
+        "native": NativePhysics(load_model(ModelConfig(physics_hz=rate)), damping=damping),
+        "mjx": MjxPhysics(load_mjx_model(replace(MJX_TRAINING, physics_hz=rate)), damping=damping),
     }
 
 
@@ -60,7 +60,7 @@ def main(config: EnginesConfig) -> None:
     out = cli.check_writable(config.out)
     policies = {run: NumpyPolicy.load(Path(run) / "best.npz") for run in config.runs}
     held = {run: json.loads((Path(run) / "config.json").read_text()) for run in config.runs}
-    walkers = {run: PolicySubject(run, policy) for run, policy in policies.items()}
+    walkers = {run: PolicyAgent(run, policy) for run, policy in policies.items()}
     rows: list[dict[str, Any]] = []
     for rate, damping in product(config.rates, sorted({walker.damping for walker in walkers.values()})):
         task = WalkConfig(episode_steps=EPISODE_STEPS, damping=damping).to_the_fall()

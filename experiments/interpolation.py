@@ -16,13 +16,18 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from cassie_mjx import cli, interpolate, subjects, suites
-from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load
+from cassie_mjx import cli
+from cassie_mjx.agents import blending
+from cassie_mjx.agents.blend import BlendAgent
+from cassie_mjx.agents.make import make_policy_agent
+from cassie_mjx.agents.policy import PolicyAgent
+from cassie_mjx.evaluation import suites
+from cassie_mjx.evaluation.steady import walked
+from cassie_mjx.evaluation.suites import Setting
+from cassie_mjx.evaluation.trial import fallen
+from cassie_mjx.motion.reference import RAMP_PER_S
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.reference import RAMP_PER_S
-from cassie_mjx.subjects import BlendSubject, PolicySubject, walked
-from cassie_mjx.suites import Setting
-from cassie_mjx.trials import fallen
+from cassie_mjx.robot.model import CONTROL_PERIOD_S, ModelConfig, load_model
 
 STARTS = 20
 
@@ -86,25 +91,25 @@ class Ride(NamedTuple):
         return {name: np.round(values[::4], 3).tolist() for name, values in curves.items()}
 
 
-def ride(blend: BlendSubject, starts: int = STARTS) -> Ride:
+def ride(blend: BlendAgent, starts: int = STARTS) -> Ride:
     """Blend up and down once, from `starts` phases of the stride."""
-    physics = NativePhysics(load(ModelConfig()), damping=blend.damping)
-    seconds = 2 * ((len(blend.policies) - 1) / RAMP_PER_S + interpolate.HOLD_S)
+    physics = NativePhysics(load_model(ModelConfig()), damping=blend.damping)
+    seconds = 2 * ((len(blend.policies) - 1) / RAMP_PER_S + blending.HOLD_S)
     fell, x, commanded_x = np.zeros(starts, bool), [], [0.0]
     walk = walked(blend, physics, blend.start(physics, np.arange(starts) / starts))
     for state, memory in islice(walk, round(seconds / blend.period_s) + 1):
         fell |= fallen(state.qpos, np.zeros(starts))
         x.append(state.qpos[:, 0])
-        gain = interpolate.advance(blend.motions, blend.position(memory), memory.phase + 1)
+        gain = blending.advance(blend.motions, blend.position(memory), memory.phase + 1)
         commanded_x.append(commanded_x[-1] + float(np.mean(gain)))
     return Ride.of(commanded_x[:-1], x, fell, len(blend.motions[0].qpos))
 
 
-def rough_ground(policies: Sequence[PolicySubject]) -> list[dict[str, Any]]:
+def rough_ground(policies: Sequence[PolicyAgent]) -> list[dict[str, Any]]:
     """Rows of the terrain that policies and their adaptive blend survive."""
     return [
         {"subject": walker.name, **figure._asdict()}
-        for walker in (*policies, BlendSubject(policies, "adaptive"))
+        for walker in (*policies, BlendAgent(policies, "adaptive"))
         for figure in suites.terrain(walker, Setting()).figures
     ]
 
@@ -125,9 +130,9 @@ def main(config: InterpolationConfig) -> None:
     """Ride, measure, write the result and draw it."""
     paths = [cli.check_writable(path) for path in (config.out, config.plot) if path]
     console, rides, rows = Console(stderr=True), {}, []
-    policies = [subjects.resolve_policy(name) for name in config.policies]
+    policies = [make_policy_agent(name) for name in config.policies]
     for chain in (policies[1:3], policies[2:4], policies):
-        blend = BlendSubject(chain, "ramp")
+        blend = BlendAgent(chain, "ramp")
         rides[blend.name] = ride(blend)
         rows += rides[blend.name].rows(blend.name)
         console.print(*rows[-4:], sep="\n")

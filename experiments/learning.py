@@ -20,11 +20,12 @@ from omegaconf import OmegaConf
 from rich.console import Console
 from rich.table import Table
 
-from cassie_mjx import checkpoint, cli
-from cassie_mjx.envs.disturbance import DisturbanceConfig
+from cassie_mjx import cli
+from cassie_mjx.envs.scenario import DisturbanceConfig
 from cassie_mjx.envs.walk import WalkConfig
-from cassie_mjx.run_directory import comparable
-from cassie_mjx.training import PRESETS, TrainConfig
+from cassie_mjx.training import checkpoint
+from cassie_mjx.training.config import PRESETS, TrainConfig
+from cassie_mjx.training.run_directory import comparable
 from experiments import plots
 
 # The return that the paper reports.

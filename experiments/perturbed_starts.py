@@ -11,13 +11,15 @@ import mujoco
 import numpy as np
 from rich.console import Console
 
-from cassie_mjx import cli, robot
-from cassie_mjx.controller import CONTROLLERS
-from cassie_mjx.model import ModelConfig, close_loops, close_loops_velocity, load, standing
+from cassie_mjx import cli
+from cassie_mjx.agents.heuristic import HeuristicAgent
+from cassie_mjx.evaluation.scheduler import fly
+from cassie_mjx.evaluation.trial import EpisodeResult, Trial
+from cassie_mjx.heuristic.config import CONTROLLERS
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.subjects import ControllerSubject
-from cassie_mjx.sweeps import fly
-from cassie_mjx.trials import EpisodeResult, Trial
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.loops import close_loops, close_loops_velocity
+from cassie_mjx.robot.model import ModelConfig, load_model, standing
 from experiments.record_reference import foot_points
 
 
@@ -56,25 +58,25 @@ class PerturbedConfig:
 def perturbed(config: PerturbedConfig, physics: NativePhysics) -> tuple[np.ndarray, np.ndarray]:
     """Starting states, qpos [robots, 35] and qvel [robots, 32]: loops closed, the lower foot close above the floor."""
     rng = np.random.default_rng(config.seed)
-    pelvis = robot.qvel_index("pelvis")
-    pose, velocity = np.zeros(robot.NV), np.zeros(robot.NV)
-    pose[pelvis[3:5]], pose[robot.ACTIVE_QVEL] = config.tilt_rad, config.joint_rad
+    pelvis = cassie.qvel_index("pelvis")
+    pose, velocity = np.zeros(cassie.NV), np.zeros(cassie.NV)
+    pose[pelvis[3:5]], pose[cassie.ACTIVE_QVEL] = config.tilt_rad, config.joint_rad
     velocity[pelvis[:3]], velocity[pelvis[3:]] = config.pelvis_mps, config.pelvis_radps
-    velocity[robot.ACTIVE_QVEL] = config.joint_radps
-    moves, qvel = (size * rng.uniform(-1, 1, (config.robots, robot.NV)) for size in (pose, velocity))
+    velocity[cassie.ACTIVE_QVEL] = config.joint_radps
+    moves, qvel = (size * rng.uniform(-1, 1, (config.robots, cassie.NV)) for size in (pose, velocity))
     qpos = np.tile(standing(physics.model), (config.robots, 1))
     for k, move in enumerate(moves):
         mujoco.mj_integratePos(physics.model, qpos[k], move, 1.0)
         qpos[k] = close_loops(physics.model, qpos[k])
         qvel[k] = close_loops_velocity(physics.model, qpos[k], qvel[k])
     lowest = foot_points(physics, qpos)[..., 2].min(axis=1)
-    qpos[:, robot.qpos_index("pelvis")[2]] += rng.uniform(0, config.drop_m, config.robots) - lowest
+    qpos[:, cassie.qpos_index("pelvis")[2]] += rng.uniform(0, config.drop_m, config.robots) - lowest
     return qpos, qvel
 
 
 def walk(name: str, config: PerturbedConfig) -> EpisodeResult:
     """How the walker `name` of `CONTROLLERS` did from each of the starts, [robots]."""
-    physics, subject = NativePhysics(load(ModelConfig())), ControllerSubject(name)
+    physics, subject = NativePhysics(load_model(ModelConfig())), HeuristicAgent(name)
     starts = subject.begin(physics, *perturbed(config, physics))
     return fly(subject, physics, starts, [Trial(k, config.seconds) for k in range(config.robots)])
 

@@ -6,8 +6,8 @@ import mujoco
 from matplotlib.image import imsave
 
 from cassie_mjx import cli
-from cassie_mjx.reference import resolve
-from cassie_mjx.render import load_scene, open_renderer
+from cassie_mjx.evaluation.draw import load_scene, open_renderer
+from cassie_mjx.motion.files import load_motion
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ def main(config: PortraitConfig) -> None:
     cli.check_writable(config.out)
     scene = load_scene()
     data = mujoco.MjData(scene)
-    data.qpos[:] = resolve("walk").qpos[config.sample]
+    data.qpos[:] = load_motion("walk").qpos[config.sample]
     mujoco.mj_forward(scene, data)
     with open_renderer(scene, config.width, config.height) as renderer:
         renderer.update_scene(data, camera=config.camera)

@@ -15,14 +15,19 @@ from matplotlib.figure import Figure
 from matplotlib.image import imsave
 from rich.console import Console
 
-from cassie_mjx import cli, robot
-from cassie_mjx.controller import CONTROLLERS
-from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load, loop_error
+from cassie_mjx import cli
+from cassie_mjx.agents.heuristic import HeuristicAgent
+from cassie_mjx.evaluation.draw import load_scene, open_renderer
+from cassie_mjx.evaluation.steady import walked
+from cassie_mjx.evaluation.trial import fallen
+from cassie_mjx.heuristic.config import CONTROLLERS
+from cassie_mjx.motion.files import save_motion
+from cassie_mjx.motion.recording import heading_x, make_periodic, velocity_error
+from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.reference import ReferenceMotion, heading_x, make_periodic, save, velocity_error
-from cassie_mjx.render import load_scene, open_renderer
-from cassie_mjx.subjects import ControllerSubject, walked
-from cassie_mjx.trials import fallen
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.loops import loop_error
+from cassie_mjx.robot.model import CONTROL_PERIOD_S, ModelConfig, load_model
 
 STRIDE_M, STRIDE_TOLERANCE_M = 0.5, 0.02
 FRAMES, FRAME_HEIGHT, FRAME_WIDTH = 8, 300, 190
@@ -63,7 +68,7 @@ def walk(config: RecordConfig, physics: NativePhysics) -> tuple[np.ndarray, np.n
       first of the next, for the B speeds.
     """
     aims = replace(CONTROLLERS[config.preset], speed=np.array(config.speeds, np.float32))
-    subject = ControllerSubject(config.preset, aims)
+    subject = HeuristicAgent(config.preset, aims)
     first = subject.calls_before(config.strides)
     walk = walked(subject, physics, subject.stand(physics, len(config.speeds)))
     stride = [walker.physics for walker in islice(walk, first, first + subject.stride_calls + 1)]
@@ -76,7 +81,7 @@ def choose(qpos: np.ndarray) -> int:
     Raises:
       ValueError: none is within 0.02 m.
     """
-    x, y = np.moveaxis(qpos[..., robot.qpos_index("pelvis")[:2]], -1, 0)
+    x, y = np.moveaxis(qpos[..., cassie.qpos_index("pelvis")[:2]], -1, 0)
     length = np.hypot(x[-1] - x[0], y[-1] - y[0])
     up = ~fallen(qpos, np.zeros(qpos.shape[1])).any(axis=0)
     error = np.where(up, np.abs(length - STRIDE_M), np.inf)
@@ -88,13 +93,13 @@ def choose(qpos: np.ndarray) -> int:
 
 def foot_points(physics: NativePhysics, qpos: np.ndarray) -> np.ndarray:
     """Lowest points of left toe, left heel, right toe and right heel in the world at qpos [K, 35], [K, 4, 3], m."""
-    bodies = physics.bodies(physics.init(qpos, np.zeros((len(qpos), robot.NV))))
+    bodies = physics.bodies(physics.init(qpos, np.zeros((len(qpos), cassie.NV))))
     ends = [
         bodies.xpos[:, body] + bodies.xmat[:, body] @ end
-        for body in robot.FOOT_BODIES
-        for end in (robot.TOE, robot.HEEL)
+        for body in cassie.FOOT_BODIES
+        for end in (cassie.TOE, cassie.HEEL)
     ]
-    return np.stack(ends, axis=1) - (0.0, 0.0, robot.FOOT_RADIUS_M)
+    return np.stack(ends, axis=1) - (0.0, 0.0, cassie.FOOT_RADIUS_M)
 
 
 def slip(points: np.ndarray) -> float:
@@ -122,9 +127,9 @@ def statistics(
     """
     calls, samples = len(qpos) - 1, len(motion.qpos)
     straight, velocity = heading_x(qpos, qvel)
-    x, y, z = robot.qpos_index("pelvis")[:3]
-    others = np.delete(np.arange(robot.NQ), x)
-    image = robot.mirror_qpos(straight[calls // 2 :]) - straight[: calls // 2 + 1]
+    x, y, z = cassie.qpos_index("pelvis")[:3]
+    others = np.delete(np.arange(cassie.NQ), x)
+    image = cassie.mirror_qpos(straight[calls // 2 :]) - straight[: calls // 2 + 1]
     # A walk beside the line is as symmetric as one on it.
     image[:, y] -= image[:, y].mean()
     mended = np.abs(motion.qpos - straight[: -1 : calls // samples])
@@ -142,7 +147,7 @@ def statistics(
         "loop_error_m": float(loop_error(physics.model, motion.qpos).max()),
         "slip_m": slip(foot_points(physics, qpos)),
         "mended_qpos": float(mended[:, others].max()),
-        "qvel_minus_difference_active": float(mismatch[robot.ACTIVE_QVEL].max()),
+        "qvel_minus_difference_active": float(mismatch[cassie.ACTIVE_QVEL].max()),
         "qvel_minus_difference": float(mismatch.max()),
     }
 
@@ -150,14 +155,14 @@ def statistics(
 def draw(path: Path, physics: NativePhysics, motion: ReferenceMotion) -> None:
     """Draw the angles of the active joints and the heights of toes and heels over one stride."""
     time = CONTROL_PERIOD_S * np.arange(len(motion.qpos))
-    angles = np.rad2deg(motion.qpos[:, robot.ACTIVE_QPOS]).reshape(-1, 2, 5)
+    angles = np.rad2deg(motion.qpos[:, cassie.ACTIVE_QPOS]).reshape(-1, 2, 5)
     heights = foot_points(physics, motion.qpos)[..., 2].reshape(-1, 2, 2)
     figure = Figure(figsize=(10, 5), layout="constrained")
     axes = figure.subplots(2, 3, sharex=True)
-    for side, (name, colour) in enumerate(zip(robot.SIDES, ("tab:blue", "tab:orange"), strict=True)):
+    for side, (name, colour) in enumerate(zip(cassie.SIDES, ("tab:blue", "tab:orange"), strict=True)):
         for joint, axis in enumerate(axes.flat[:5]):
             axis.plot(time, angles[:, side, joint], color=colour, label=name)
-            axis.set(title=robot.ACTIVE[joint], ylabel="degrees")
+            axis.set(title=cassie.ACTIVE[joint], ylabel="degrees")
         for end, style in enumerate(("-", "--")):
             axes[1, 2].plot(time, 1000 * heights[:, side, end], style, color=colour)
     axes[1, 2].set(title="height of toe, heel (dashed)", ylabel="mm")
@@ -183,7 +188,7 @@ def render(path: Path, motion: ReferenceMotion) -> None:
 
 def record(config: RecordConfig) -> tuple[ReferenceMotion, dict[str, float]]:
     """The motion, and figures of it and of the walk that it comes from."""
-    physics = NativePhysics(load(ModelConfig()))
+    physics = NativePhysics(load_model(ModelConfig()))
     qpos, qvel = walk(config, physics)
     chosen = choose(qpos)
     qpos, qvel = qpos[:, chosen], qvel[:, chosen]
@@ -200,9 +205,9 @@ def main(config: RecordConfig) -> None:
     motion, figures = record(config)
     for name, value in figures.items():
         Console(stderr=True).print(f"{name:30} {value:.6g}")
-    save(paths[0], motion, cli.provenance(preset=config.preset, strides=config.strides, **figures))
+    save_motion(paths[0], motion, cli.provenance(preset=config.preset, strides=config.strides, **figures))
     if config.plot:
-        draw(Path(config.plot), NativePhysics(load(ModelConfig())), motion)
+        draw(Path(config.plot), NativePhysics(load_model(ModelConfig())), motion)
     if config.strip:
         render(Path(config.strip), motion)
 

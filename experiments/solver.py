@@ -13,11 +13,13 @@ import jax
 import numpy as np
 from rich.console import Console
 
-from cassie_mjx import cli, robot
-from cassie_mjx.model import ModelConfig, load, load_for_mjx, loop_error, standing, steps_per_control
+from cassie_mjx import cli
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance, Physics
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.loops import loop_error
+from cassie_mjx.robot.model import ModelConfig, load_mjx_model, load_model, standing, steps_per_control
 from experiments.throughput import seconds, swinging_targets
 
 PUBLISHED_SOLIMP = (0.9, 0.95, 0.001)
@@ -43,7 +45,7 @@ def measure(config: SolverConfig, engine: str, model: ModelConfig, physics: Phys
     steps = steps_per_control(model.physics_hz)
     targets = swinging_targets(config.robots, config.control_steps, config.seed).astype(dtype)
     qpos = np.tile(standing(physics.model), (config.robots, 1)).astype(dtype)
-    start = physics.init(qpos, np.zeros((config.robots, robot.NV), dtype))
+    start = physics.init(qpos, np.zeros((config.robots, cassie.NV), dtype))
     undisturbed = Disturbance.none(config.robots)
 
     def walk() -> Iterator[np.ndarray]:
@@ -81,16 +83,16 @@ def main(config: SolverConfig) -> None:
         rows.append(measure(config, *case))
         console.print(rows[-1])
 
-    published = load(ModelConfig())
+    published = load_model(ModelConfig())
     published.eq_solimp[:, :3] = PUBLISHED_SOLIMP
     add("native", ModelConfig(), NativePhysics(published), "published")
     for hz in (2000, 1000, 500):
         for iterations in (2, 4, 100):
             model = ModelConfig(physics_hz=hz, iterations=iterations)
-            add("native", model, NativePhysics(load(model)), "ours")
+            add("native", model, NativePhysics(load_model(model)), "ours")
         for iterations, ls_iterations in ((1, 4), (2, 4), (3, 4), (4, 6), (8, 8)):
             model = ModelConfig(hz, contacts="walking", iterations=iterations, ls_iterations=ls_iterations)
-            add("mjx", model, MjxPhysics(load_for_mjx(model)), "ours")
+            add("mjx", model, MjxPhysics(load_mjx_model(model)), "ours")
     cli.write_json(out, {"rows": rows, "provenance": cli.provenance(seed=config.seed)})
 
 

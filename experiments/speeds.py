@@ -15,16 +15,19 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from cassie_mjx import cli, interpolate, subjects, suites
-from cassie_mjx.envs import clock
+from cassie_mjx import cli
+from cassie_mjx.agents import blending
+from cassie_mjx.agents.make import make_policy_agent
+from cassie_mjx.agents.policy import PolicyAgent
+from cassie_mjx.envs import command as clock
 from cassie_mjx.envs.walk import WalkConfig, WalkEnv
-from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load
+from cassie_mjx.evaluation import suites
+from cassie_mjx.evaluation.suites import Setting
+from cassie_mjx.evaluation.trial import Measured
+from cassie_mjx.motion.reference import MAX_STRETCH, nearest_sample
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance
-from cassie_mjx.reference import MAX_STRETCH, nearest_sample
-from cassie_mjx.subjects import PolicySubject
-from cassie_mjx.suites import Setting
-from cassie_mjx.trials import Measured
+from cassie_mjx.robot.model import CONTROL_PERIOD_S, ModelConfig, load_model
 from experiments import learning
 from experiments.interpolation import STARTS, Ride
 
@@ -65,14 +68,14 @@ class SpeedsConfig:
             raise ValueError("training_seeds is empty; name at least one, such as training_seeds=0.")
 
 
-def single_speeds(config: SpeedsConfig) -> list[tuple[dict[str, Any], PolicySubject]]:
+def single_speeds(config: SpeedsConfig) -> list[tuple[dict[str, Any], PolicyAgent]]:
     """The policies of one speed each, with what their rows say of them: whose figures they are.
 
     Raises:
       ValueError: one of them is not there, or its run is unfinished or was trained otherwise than the study trains it.
     """
     if not config.runs:
-        return [({"subject": name}, subjects.resolve_policy(name)) for name in config.policies]
+        return [({"subject": name}, make_policy_agent(name)) for name in config.policies]
     found = []
     for name, seed in product(config.policies, config.training_seeds):
         folder = Path(config.runs) / f"{name}-seed{seed}"
@@ -80,15 +83,15 @@ def single_speeds(config: SpeedsConfig) -> list[tuple[dict[str, Any], PolicySubj
             study = "walking" if name == learning.DEFAULT.name else "learning_speeds"
             command = f"python -m experiments.learning study={study} runs={config.runs}"
             raise ValueError(f"There is no run {folder}; make it with {command}.")
-        policy = subjects.resolve_policy(str(folder))
+        policy = make_policy_agent(str(folder))
         learning.check(folder, VARIANTS[name], seed)
         found.append(({"subject": name, "seed": seed}, policy))
     return found
 
 
-def keep(policy: PolicySubject) -> list[dict[str, Any]]:
+def keep(policy: PolicyAgent) -> list[dict[str, Any]]:
     """Figures of ten walks of 10 s at the policy's speed, the reference's own speed among them."""
-    commanded = Measured("commanded_mps", interpolate.mean_speed(policy.motion), "m/s", len(suites.WALK_PHASES))
+    commanded = Measured("commanded_mps", blending.mean_speed(policy.motion), "m/s", len(suites.WALK_PHASES))
     return [figure._asdict() for figure in (commanded, *suites.walk(policy, Setting()).figures)]
 
 
@@ -99,14 +102,14 @@ def profile(seed: int) -> np.ndarray:
     return factors[(time / CHANGE_S).astype(int)]
 
 
-def follow(policy: PolicySubject, factors: np.ndarray, starts: int = STARTS) -> Ride:
+def follow(policy: PolicyAgent, factors: np.ndarray, starts: int = STARTS) -> Ride:
     """Walk from `starts` phases of the stride, commanded a factor [T] on the motion's speed at every control step."""
     task = WalkConfig(episode_steps=len(factors) + 1, damping=policy.damping).to_the_fall()
-    env = WalkEnv(NativePhysics(load(ModelConfig()), damping=policy.damping), policy.motion, task, starts)
+    env = WalkEnv(NativePhysics(load_model(ModelConfig()), damping=policy.damping), policy.motion, task, starts)
     phase = nearest_sample(np.arange(starts) / starts, env.samples) % env.samples
     state = env.reset_at(phase, Disturbance.none(starts), np.full(starts, factors[0]))
     fell, x, commanded_x = np.zeros(starts, bool), [state.physics.qpos[:, 0]], [0.0]
-    speed, speed_mps = state.clock.speed, interpolate.mean_speed(policy.motion)
+    speed, speed_mps = state.clock.speed, blending.mean_speed(policy.motion)
     for factor in factors:
         # The command is seen in the observation that this step leads to.
         told = replace(state.clock, speed=speed, command=np.full(starts, factor, np.float32))
@@ -143,8 +146,8 @@ def main(config: SpeedsConfig) -> None:
     walkers = single_speeds(config)
     origins = {policy.name: policy.provenance for _, policy in walkers}
     if config.any_speed:
-        free = subjects.resolve_policy(config.any_speed)
-        told = [subjects.resolve_policy(config.any_speed, f"{factor:.3g}x") for factor in COMMANDS]
+        free = make_policy_agent(config.any_speed)
+        told = [make_policy_agent(config.any_speed, f"{factor:.3g}x") for factor in COMMANDS]
         walkers += [({"subject": policy.name}, policy) for policy in told]
         origins[free.name] = free.provenance
         walk = follow(free, profile(config.profile_seed))

@@ -10,13 +10,15 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from cassie_mjx import cli, robot, subjects
-from cassie_mjx.film import film
-from cassie_mjx.model import CONTROL_PERIOD_S, ModelConfig, load
+from cassie_mjx import cli
+from cassie_mjx.agents.make import make_agent
+from cassie_mjx.agents.policy import PolicyAgent
+from cassie_mjx.evaluation.film import film
+from cassie_mjx.evaluation.trial import Trial
+from cassie_mjx.motion.reference import ReferenceMotion, sample
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.reference import ReferenceMotion, sample
-from cassie_mjx.subjects import PolicySubject
-from cassie_mjx.trials import Trial
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.model import CONTROL_PERIOD_S, ModelConfig, load_model
 from experiments.record_reference import foot_points
 
 STRIDES = 8
@@ -34,7 +36,7 @@ class StrideConfig:
     """Result file."""
 
 
-def walked(policy: PolicySubject, control_steps: int) -> np.ndarray:
+def walked(policy: PolicyAgent, control_steps: int) -> np.ndarray:
     """Qpos [control_steps + 1, 35] of steady walking along x, from phase 0 of the stride on."""
     trial = Trial(0, (control_steps + 1) * CONTROL_PERIOD_S)
     return np.array([shot.qpos for shot in film(policy, trial, fps=1 / CONTROL_PERIOD_S)])
@@ -48,10 +50,10 @@ def reference(motion: ReferenceMotion, control_steps: int) -> np.ndarray:
 
 def joint_angles(qpos: np.ndarray) -> dict[str, dict[str, list[float]]]:
     """Angles over time of each active joint, left and right, rad."""
-    angles = qpos[:, robot.ACTIVE_QPOS].reshape(len(qpos), len(robot.SIDES), -1).round(5)
+    angles = qpos[:, cassie.ACTIVE_QPOS].reshape(len(qpos), len(cassie.SIDES), -1).round(5)
     return {
-        joint: {side: angles[:, k, j].tolist() for k, side in enumerate(robot.SIDES)}
-        for j, joint in enumerate(robot.ACTIVE)
+        joint: {side: angles[:, k, j].tolist() for k, side in enumerate(cassie.SIDES)}
+        for j, joint in enumerate(cassie.ACTIVE)
     }
 
 
@@ -76,15 +78,15 @@ def beside(walk: Any, motion: Any) -> Any:
 def main(config: StrideConfig) -> None:
     """Walk, compare and write the result."""
     out = cli.check_writable(config.out)
-    policy = subjects.resolve(config.policy)
-    if not isinstance(policy, PolicySubject):
+    policy = make_agent(config.policy)
+    if not isinstance(policy, PolicyAgent):
         raise ValueError(f"policy={config.policy} imitates no reference; name a trained policy.")
-    physics, samples = NativePhysics(load(ModelConfig())), len(policy.motion.qpos)
+    physics, samples = NativePhysics(load_model(ModelConfig())), len(policy.motion.qpos)
     both = [walked(policy, STRIDES * samples), reference(policy.motion, STRIDES * samples)]
     angles = [joint_angles(qpos[: samples + 1]) for qpos in both]
     points = [foot_points(physics, qpos).reshape(-1, 2, 2, 3) for qpos in both]
-    feet = [{side: placements(path[:, k]) for k, side in enumerate(robot.SIDES)} for path in points]
-    error = np.abs(np.subtract(*both)[:samples, robot.ACTIVE_QPOS])
+    feet = [{side: placements(path[:, k]) for k, side in enumerate(cassie.SIDES)} for path in points]
+    error = np.abs(np.subtract(*both)[:samples, cassie.ACTIVE_QPOS])
     rows = [
         {"subject": policy.name, "quantity": quantity, "value": float(value), "unit": "rad", "n": 1}
         for quantity, value in (("joint_error_mean_rad", error.mean()), ("joint_error_max_rad", error.max()))

@@ -12,8 +12,9 @@ import numpy as np
 from rich.console import Console
 
 from cassie_mjx import cli
-from cassie_mjx.subjects import SubjectConfig
-from cassie_mjx.suites import (
+from cassie_mjx.agents.make import AgentConfig
+from cassie_mjx.evaluation.scheduler import fly
+from cassie_mjx.evaluation.suites import (
     HIGHEST_TERRAIN_M,
     LIMIT_PHASES,
     LONGEST_DELAY_S,
@@ -22,14 +23,13 @@ from cassie_mjx.suites import (
     WALK_S,
     Setting,
 )
-from cassie_mjx.sweeps import fly
-from cassie_mjx.trials import Subject, Trial
+from cassie_mjx.evaluation.trial import Subject, Trial
 
 DELAY_STEP_MS = 1.0
 
 
 @dataclass(frozen=True)
-class SurvivalConfig(SubjectConfig):
+class SurvivalConfig(AgentConfig):
     """What walks, and where its result goes."""
 
     out: str = "survival.json"

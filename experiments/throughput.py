@@ -18,11 +18,20 @@ import mujoco.rollout
 import numpy as np
 from rich.console import Console
 
-from cassie_mjx import cli, robot
-from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx, servo_model, standing, steps_per_control
+from cassie_mjx import cli
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance, Physics, PhysicsState
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.model import (
+    MJX_TRAINING,
+    ModelConfig,
+    load_mjx_model,
+    load_model,
+    servo_model,
+    standing,
+    steps_per_control,
+)
 
 
 @dataclass(frozen=True)
@@ -49,7 +58,7 @@ def swinging_targets(robots: int, control_steps: int, seed: int) -> np.ndarray:
     phase = phase + np.random.default_rng(seed).uniform(0, 2 * np.pi, (1, robots, 1))
     lift = np.array([0.0, 0.0, 0.25, -0.45, 0.2])
     swing = np.concatenate([lift * np.sin(phase).clip(0), lift * np.sin(phase + np.pi).clip(0)], axis=-1)
-    return robot.STANDING_TARGET + swing
+    return cassie.STANDING_TARGET + swing
 
 
 def walk_in_place(physics: Physics, state: PhysicsState, targets: np.ndarray, steps: int) -> PhysicsState:
@@ -69,7 +78,7 @@ def seconds(work: Callable[[], Any]) -> float:
 
 def bare_loop(config: ModelConfig, qpos: np.ndarray, targets: np.ndarray, threads: int) -> Callable[[], Any]:
     """The same walk by `mujoco.rollout`: all robots and steps in one call into C."""
-    model = servo_model(load(config))
+    model = servo_model(load_model(config))
     spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
     data = mujoco.MjData(model)
     states = np.empty((len(qpos), mujoco.mj_stateSize(model, spec)))
@@ -84,11 +93,11 @@ def bare_loop(config: ModelConfig, qpos: np.ndarray, targets: np.ndarray, thread
 
 def time_native(config: ThroughputConfig, model: ModelConfig, robots: int, threads: int) -> dict[str, Any]:
     """Physics steps/s of `NativePhysics` and of the bare loop, turn about."""
-    physics = NativePhysics(load(model), threads=threads)
+    physics = NativePhysics(load_model(model), threads=threads)
     steps = steps_per_control(model.physics_hz)
     targets = swinging_targets(robots, config.control_steps, config.seed)
     qpos = np.tile(standing(physics.model), (robots, 1))
-    start = physics.init(qpos, np.zeros((robots, robot.NV)))
+    start = physics.init(qpos, np.zeros((robots, cassie.NV)))
     bare = bare_loop(model, qpos, targets, threads)
     bare()
     walk_in_place(physics, start, targets, steps)
@@ -105,11 +114,11 @@ def time_native(config: ThroughputConfig, model: ModelConfig, robots: int, threa
 
 def time_mjx(config: ThroughputConfig, model: ModelConfig, robots: int) -> dict[str, Any]:
     """Physics steps/s of `MjxPhysics`, and the seconds of its first call, which compiles."""
-    physics = MjxPhysics(load_for_mjx(model))
+    physics = MjxPhysics(load_mjx_model(model))
     steps = steps_per_control(model.physics_hz)
     targets = swinging_targets(robots, config.control_steps, config.seed).astype(np.float32)
     qpos = np.tile(standing(physics.model), (robots, 1)).astype(np.float32)
-    start = physics.init(qpos, np.zeros((robots, robot.NV), np.float32))
+    start = physics.init(qpos, np.zeros((robots, cassie.NV), np.float32))
     compile_s = seconds(lambda: walk_in_place(physics, start, targets[:1], steps))
     times = [seconds(lambda: walk_in_place(physics, start, targets, steps)) for _ in range(max(3, config.turns // 2))]
     return row("mjx", model, robots, times, robots * config.control_steps * steps) | {

@@ -18,14 +18,15 @@ import numpy as np
 from rich.console import Console
 
 from cassie_mjx import cli
-from cassie_mjx.controller import CONTROLLERS, ControllerConfig
-from cassie_mjx.envs.disturbance import PUSH_S
-from cassie_mjx.model import ModelConfig, load
+from cassie_mjx.agents.heuristic import HeuristicAgent
+from cassie_mjx.envs.scenario import PUSH_S
+from cassie_mjx.evaluation.scheduler import fly
+from cassie_mjx.evaluation.steady import side_by_side, walked
+from cassie_mjx.evaluation.suites import DIRECTIONS
+from cassie_mjx.evaluation.trial import Subject, Trial, Walker, fallen
+from cassie_mjx.heuristic.config import CONTROLLERS, ControllerConfig
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.subjects import ControllerSubject, side_by_side, walked
-from cassie_mjx.suites import DIRECTIONS
-from cassie_mjx.sweeps import fly
-from cassie_mjx.trials import Subject, Trial, Walker, fallen
+from cassie_mjx.robot.model import ModelConfig, load_model
 
 PHYSICS_HZ = 1000
 WARM_UP_STRIDES = 8
@@ -164,13 +165,13 @@ class Evaluator:
 
     def __init__(self, preset: str) -> None:
         self.preset = preset
-        self.flat = NativePhysics(load(ModelConfig(physics_hz=PHYSICS_HZ)))
-        self.terrain = NativePhysics(load(ModelConfig(physics_hz=PHYSICS_HZ, scene="terrain")))
+        self.flat = NativePhysics(load_model(ModelConfig(physics_hz=PHYSICS_HZ)))
+        self.terrain = NativePhysics(load_model(ModelConfig(physics_hz=PHYSICS_HZ, scene="terrain")))
 
     def __call__(self, configs: Sequence[ControllerConfig]) -> list[Score]:
         """Walk, push and send over terrain."""
         stacked = jax.tree.map(lambda *leaves: np.array(leaves, np.float32), *configs)
-        subject = ControllerSubject(self.preset, stacked)
+        subject = HeuristicAgent(self.preset, stacked)
         starts, speed, unrest = self._walk(subject, len(configs))
         shares = self._survive(subject, starts, len(configs))
         # Mean and worst trial count. Half a metre in a stride of 0.704 s is 0.71 m/s; 0.03 m/s either way are free.
@@ -181,7 +182,7 @@ class Evaluator:
             for i, (total, v) in enumerate(zip(np.nan_to_num(cost, nan=WORST), speed, strict=True))
         ]
 
-    def _walk(self, subject: ControllerSubject, robots: int) -> tuple[Walker, np.ndarray, np.ndarray]:
+    def _walk(self, subject: HeuristicAgent, robots: int) -> tuple[Walker, np.ndarray, np.ndarray]:
         """Start from standing. Returns eight phases of a late stride, its speed, and what the pelvis moved in it."""
         first, calls = subject.calls_before(WARM_UP_STRIDES), subject.stride_calls
         walk = walked(subject, self.flat, subject.stand(self.flat, robots))

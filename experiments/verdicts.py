@@ -15,10 +15,10 @@ import numpy as np
 from rich.console import Console
 
 from cassie_mjx import cli
-from cassie_mjx.subjects import SubjectConfig
-from cassie_mjx.suites import ENGINES, LIMIT_PHASES, LONGEST_DELAY_S, WALK_S, Setting, pushed, towards
-from cassie_mjx.sweeps import fly
-from cassie_mjx.trials import Subject, Trial
+from cassie_mjx.agents.make import AgentConfig
+from cassie_mjx.evaluation.scheduler import fly
+from cassie_mjx.evaluation.suites import ENGINES, LIMIT_PHASES, LONGEST_DELAY_S, WALK_S, Setting, pushed, towards
+from cassie_mjx.evaluation.trial import Subject, Trial
 
 DIRECTIONS_DEG = np.arange(8) * 45.0
 FORCES_N = np.arange(20, 241, 20)
@@ -28,7 +28,7 @@ DELAYS = np.arange(1, 11) * 4
 
 
 @dataclass(frozen=True)
-class VerdictsConfig(SubjectConfig):
+class VerdictsConfig(AgentConfig):
     """What to compare."""
 
     out: str = "verdicts.json"

@@ -6,7 +6,7 @@ import jax
 import pytest
 from absl import logging
 
-from cassie_mjx.model import ModelConfig, load, standing
+from cassie_mjx.robot.model import ModelConfig, load_model, standing
 
 ROOT = Path(__file__).parents[1]
 jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax"))
@@ -22,7 +22,7 @@ def figures():
 
 @pytest.fixture(scope="session")
 def model():
-    return load(ModelConfig())
+    return load_model(ModelConfig())
 
 
 @pytest.fixture(scope="session")

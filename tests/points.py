@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from cassie_mjx import robot
+from cassie_mjx.evaluation.trial import Walker
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.types import PhysicsState, namespace
-from cassie_mjx.trials import Walker
+from cassie_mjx.robot import cassie
 
 
 def never(start, velocity, t, disturbance):
@@ -63,9 +63,9 @@ class Still:
 
     def start(self, physics, phases):
         robots = len(phases)
-        qpos = np.zeros((robots, robot.NQ))
+        qpos = np.zeros((robots, cassie.NQ))
         qpos[:, 2], qpos[:, 3], qpos[:, -1] = 0.9, 1.0, np.arange(robots)
-        zero = np.zeros((robots, robot.NV))
+        zero = np.zeros((robots, cassie.NV))
         state = PhysicsState(qpos, zero, zero, np.zeros(robots, np.int32), np.zeros((robots, 0, 67)))
         return Walker(state, np.zeros(robots))
 
@@ -73,7 +73,7 @@ class Still:
         return []
 
     def act(self, physics, seen, memory):
-        return np.zeros((len(memory), robot.NU)), memory + 1
+        return np.zeros((len(memory), cassie.NU)), memory + 1
 
     def carried(self, memory, offset):
         return memory

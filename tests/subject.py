@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from cassie_mjx import robot
-from cassie_mjx.model import standing
-from cassie_mjx.trials import Walker
+from cassie_mjx.evaluation.trial import Walker
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.model import standing
 
 
 class Swaying:
@@ -17,15 +17,15 @@ class Swaying:
 
     def start(self, physics, phases):
         qpos = np.tile(standing(physics.model), (len(phases), 1))
-        qvel = np.full((len(phases), robot.NV), 0.02)
+        qvel = np.full((len(phases), cassie.NV), 0.02)
         return Walker(physics.init(qpos, qvel), np.zeros(len(phases)))
 
     def returns(self, physics, delay=0):
         return []
 
     def act(self, physics, seen, memory):
-        sway = 0.02 * seen.qvel[:, robot.ACTIVE_QVEL] + 0.01 * np.sin(memory)[:, None]
-        return self.hold * robot.STANDING_TARGET + sway, memory + 1
+        sway = 0.02 * seen.qvel[:, cassie.ACTIVE_QVEL] + 0.01 * np.sin(memory)[:, None]
+        return self.hold * cassie.STANDING_TARGET + sway, memory + 1
 
     def carried(self, memory, offset):
         return memory

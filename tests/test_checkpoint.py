@@ -15,9 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cassie_mjx import checkpoint, reference
+from cassie_mjx.motion.files import load_motion
+from cassie_mjx.training import checkpoint
 
-MOTION = reference.resolve("walk")
+MOTION = load_motion("walk")
 
 
 def state(number):
@@ -72,8 +73,9 @@ def test_what_one_process_saves_with_64_bits_another_restores_with_32(tmp_path):
 import jax
 jax.config.update("jax_enable_x64", True)
 import pathlib, jax.numpy as jnp
-from cassie_mjx import checkpoint, reference
-checkpoint.save(pathlib.Path({str(tmp_path)!r}), 1, {{"x": jnp.arange(3.0) + 0.1}}, reference.resolve("walk"), {{}})
+from cassie_mjx.motion.files import load_motion
+from cassie_mjx.training import checkpoint
+checkpoint.save(pathlib.Path({str(tmp_path)!r}), 1, {{"x": jnp.arange(3.0) + 0.1}}, load_motion("walk"), {{}})
 """
     subprocess.run([sys.executable, "-c", program], check=True)
     arrays = checkpoint.restore(last(tmp_path)).arrays
@@ -152,7 +154,7 @@ def test_a_full_disk_leaves_the_last_checkpoint_intact(tmp_path, monkeypatch, pl
 
     target, failure = {
         "usage": ("shutil.disk_usage", lambda _: SimpleNamespace(free=1_000_000)),
-        "orbax": ("cassie_mjx.checkpoint.ocp.Checkpointer.save", tensorstore_full),
+        "orbax": ("cassie_mjx.training.checkpoint.ocp.Checkpointer.save", tensorstore_full),
         "fsync": ("os.fsync", full),
         "mkdir": ("pathlib.Path.mkdir", full),
     }[place]
@@ -175,7 +177,7 @@ def save_for_ever(directory, saved):
 
 def kill_while_saving(directory, times):
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["cassie_mjx.checkpoint"])
+    context.set_forkserver_preload(["cassie_mjx.training.checkpoint"])
     rng, reached, interrupted = random.Random(0), 0, 0
     for _ in range(times):
         saved = context.Event()

@@ -8,18 +8,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cassie_mjx import controller, robot
-from cassie_mjx.controller import COMPLIANT, CONTROLLERS, STIFF, ControllerState
-from cassie_mjx.envs.disturbance import PUSH_S
-from cassie_mjx.kinematics import inverse_kinematics, level_foot
-from cassie_mjx.model import ModelConfig, close_loops, load
+from cassie_mjx.agents.heuristic import HeuristicAgent
+from cassie_mjx.envs.scenario import PUSH_S
+from cassie_mjx.evaluation.scheduler import fly
+from cassie_mjx.evaluation.steady import walked
+from cassie_mjx.evaluation.suites import DIRECTIONS, LIMIT_PHASES, WALK_S
+from cassie_mjx.evaluation.trial import AFTER_PUSH_S, Trial, fallen
+from cassie_mjx.heuristic import law
+from cassie_mjx.heuristic.config import COMPLIANT, CONTROLLERS, STIFF
+from cassie_mjx.heuristic.kinematics import inverse_kinematics, level_foot
+from cassie_mjx.heuristic.law import ControllerState
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.subjects import ControllerSubject, walked
-from cassie_mjx.suites import DIRECTIONS, LIMIT_PHASES, WALK_S
-from cassie_mjx.sweeps import fly
-from cassie_mjx.trials import AFTER_PUSH_S, Trial, fallen
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.loops import close_loops
+from cassie_mjx.robot.model import ModelConfig, load_model
 
-jitted_step = jax.jit(controller.step)
+jitted_step = jax.jit(law.step)
 STRIDE_S = 0.704
 
 
@@ -30,7 +34,7 @@ def physics(model):
 
 def nudged(subject, physics, qpos, robots):
     """Standing robots with a small push to every speed, about to walk."""
-    qvel = np.random.default_rng(1).normal(0, 0.02, (robots, robot.NV))
+    qvel = np.random.default_rng(1).normal(0, 0.02, (robots, cassie.NV))
     return subject.begin(physics, np.tile(qpos, (robots, 1)), qvel)
 
 
@@ -45,16 +49,16 @@ def test_inverse_kinematics_reaches_the_ankle_in_mujoco(model, physics, standing
         foot = level_foot(angles[2], jnp.zeros(()))
         qpos = standing_qpos.copy()
         qpos[:3], qpos[3:7] = (0, 0, 2), (1, 0, 0, 0)
-        qpos[robot.ACTIVE_QPOS.reshape(2, 5)[side]] = [*angles, foot]
-        name = robot.SIDES[side]
-        qpos[robot.qpos_index(f"{name}-shin", f"{name}-heel-spring")] = 0
-        qpos[robot.qpos_index(f"{name}-tarsus")] = np.deg2rad(12.5) - angles[3]
-        qpos[robot.qpos_index(f"{name}-foot-crank")] = foot
-        qpos[robot.qpos_index(f"{name}-plantar-rod")] = -foot
-        bodies = physics.bodies(physics.init(close_loops(model, qpos)[None], np.zeros((1, robot.NV))))
-        body = robot.FOOT_BODIES[side]
+        qpos[cassie.ACTIVE_QPOS.reshape(2, 5)[side]] = [*angles, foot]
+        name = cassie.SIDES[side]
+        qpos[cassie.qpos_index(f"{name}-shin", f"{name}-heel-spring")] = 0
+        qpos[cassie.qpos_index(f"{name}-tarsus")] = np.deg2rad(12.5) - angles[3]
+        qpos[cassie.qpos_index(f"{name}-foot-crank")] = foot
+        qpos[cassie.qpos_index(f"{name}-plantar-rod")] = -foot
+        bodies = physics.bodies(physics.init(close_loops(model, qpos)[None], np.zeros((1, cassie.NV))))
+        body = cassie.FOOT_BODIES[side]
         np.testing.assert_allclose(bodies.xpos[0, body] - [0, 0, 2], ankle, atol=5e-3)
-        sole = bodies.xmat[0, body] @ (robot.TOE - robot.HEEL)
+        sole = bodies.xmat[0, body] @ (cassie.TOE - cassie.HEEL)
         # A level sole points to the toe along the leg's yaw; roll of the hip tips what yaw turns out of the plane.
         assert abs(sole[2]) < np.linalg.norm(sole) * np.sin(np.deg2rad(1) + abs(angles[0] * yaw))
 
@@ -64,9 +68,7 @@ def test_foot_placement_ends_the_next_step_at_the_wanted_velocity():
     height, steps_s = 0.87, config.step_time
     omega = np.sqrt(9.81 / height)
     velocity = np.array([1.1, 0.5])
-    f = np.array(
-        controller.foot_placement(config, jnp.array(velocity), jnp.array(height), jnp.array(0), jnp.array(0.0))
-    )
+    f = np.array(law.foot_placement(config, jnp.array(velocity), jnp.array(height), jnp.array(0), jnp.array(0.0)))
     # The pendulum x'' = omega^2 x from x = -f: v(T) = C v - omega S f.
     after = np.cosh(omega * steps_s) * velocity - omega * np.sinh(omega * steps_s) * f
     # A gait of width W is at -W/2 when a left step starts, and passes +-v_0: v_0 = omega W/2 tanh(omega T/2).
@@ -76,12 +78,12 @@ def test_foot_placement_ends_the_next_step_at_the_wanted_velocity():
 
 def test_legs_switch_after_exactly_eleven_samples_of_32_ms(physics):
     config = replace(STIFF, haste=(0.0, 0.0))
-    state, (_, control) = ControllerSubject("stiff").stand(physics, 1)
+    state, (_, control) = HeuristicAgent("stiff").stand(physics, 1)
     bodies = jax.tree.map(jnp.asarray, physics.bodies(state))
     qpos, qvel = jnp.asarray(state.qpos), jnp.asarray(state.qvel)
 
     def tick(control, _):
-        target, control = controller.step(config, control, qpos, qvel, bodies, 0.001)
+        target, control = law.step(config, control, qpos, qvel, bodies, 0.001)
         return control, (target, control.stance[0])
 
     _, (targets, stance) = jax.jit(lambda c: jax.lax.scan(tick, c, length=60000))(control)
@@ -92,11 +94,11 @@ def test_legs_switch_after_exactly_eleven_samples_of_32_ms(physics):
 
 
 def test_the_clock_hurries_when_the_velocity_is_far_off(physics):
-    state, (config, control) = ControllerSubject("stiff").stand(physics, 1)
+    state, (config, control) = HeuristicAgent("stiff").stand(physics, 1)
     control = replace(control, phase=np.array([0.2], np.float32))
 
     def ticked(forward, left):
-        qvel = np.zeros((1, robot.NV))
+        qvel = np.zeros((1, cassie.NV))
         qvel[:, :2] = forward, left
         moving = physics.init(state.qpos, qvel)
         _, after = jitted_step(config, control, moving.qpos, moving.qvel, physics.bodies(moving), 0.001)
@@ -110,22 +112,22 @@ def test_the_clock_hurries_when_the_velocity_is_far_off(physics):
 
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_mirrored_robot_gets_mirrored_targets(physics, standing_qpos, name):
-    subject = ControllerSubject(name)
+    subject = HeuristicAgent(name)
     walk = walked(subject, physics, nudged(subject, physics, standing_qpos, 2))
     state, (config, control) = next(islice(walk, round(0.3 / subject.period_s), None))
-    mirrored = physics.init(robot.mirror_qpos(state.qpos), robot.mirror_qvel(state.qvel))
+    mirrored = physics.init(cassie.mirror_qpos(state.qpos), cassie.mirror_qvel(state.qvel))
     flip = np.array([1, -1, 1])
     line_w = control.line_w * np.array([1, -1, -1])
     other = ControllerState(control.phase, 1 - control.stance, control.liftoff_w * flip, line_w)
     target, _ = jitted_step(config, control, state.qpos, state.qvel, physics.bodies(state), 0.001)
     image, _ = jitted_step(config, other, mirrored.qpos, mirrored.qvel, physics.bodies(mirrored), 0.001)
     # The published pelvis is not quite symmetric: its centre of mass is 0.3 mm off the plane.
-    np.testing.assert_allclose(robot.mirror_active(np.array(target)), image, atol=0.02)
+    np.testing.assert_allclose(cassie.mirror_active(np.array(target)), image, atol=0.02)
 
 
 def test_parameters_of_each_robots_own(physics, standing_qpos):
     both = jax.tree.map(lambda a, b: np.array([a, b], np.float32), STIFF, COMPLIANT)
-    subject = ControllerSubject("stiff", both)
+    subject = HeuristicAgent("stiff", both)
     state, memory = nudged(subject, physics, standing_qpos, 2)
     own, _ = subject.act(physics, state, memory)
     arguments = (memory.state, state.qpos, state.qvel, physics.bodies(state), STIFF.period)
@@ -136,7 +138,7 @@ def test_parameters_of_each_robots_own(physics, standing_qpos):
 
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_walks_from_standing_at_the_reference_pace(physics, standing_qpos, name):
-    subject = ControllerSubject(name)
+    subject = HeuristicAgent(name)
     walk = walked(subject, physics, nudged(subject, physics, standing_qpos, 2))
     strides = list(islice(walk, 0, 10 * subject.stride_calls + 1, subject.stride_calls))
     qpos = np.array([walker.physics.qpos for walker in strides])
@@ -174,7 +176,7 @@ def test_measured_limits_are_those_required(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_survives_the_pushes_required(physics, name):
-    subject, seconds = ControllerSubject(name), PUSH_S + AFTER_PUSH_S
+    subject, seconds = HeuristicAgent(name), PUSH_S + AFTER_PUSH_S
     pushes = [(force * x, force * y) for force, (x, y) in zip(REQUIRED[name][0], DIRECTIONS.values(), strict=True)]
     trials = [Trial(k, seconds, push=push) for k in range(len(LIMIT_PHASES)) for push in pushes]
     assert not fly(subject, physics, subject.start(physics, LIMIT_PHASES), trials).fell.any()
@@ -183,6 +185,6 @@ def test_survives_the_pushes_required(physics, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_walks_blind_over_the_terrain_required(physics, name):
-    subject, terrain = ControllerSubject(name), NativePhysics(load(ModelConfig(scene="terrain")))
+    subject, terrain = HeuristicAgent(name), NativePhysics(load_model(ModelConfig(scene="terrain")))
     trials = [Trial(k, WALK_S, terrain=REQUIRED[name][1]) for k in range(len(LIMIT_PHASES))]
     assert not fly(subject, terrain, subject.start(physics, LIMIT_PHASES), trials).fell.any()

@@ -21,12 +21,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cassie_mjx import checkpoint, devices, reference, run_directory
-from cassie_mjx.config import PPOConfig
-from cassie_mjx.model import MJX_TRAINING, load_for_mjx
+from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.ppo import learner, rollout
-from cassie_mjx.training import TrainConfig, Trainer, resolve
+from cassie_mjx.ppo.config import PPOConfig
+from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model
+from cassie_mjx.training import checkpoint, devices, run_directory
+from cassie_mjx.training.config import TrainConfig, resolve_config
+from cassie_mjx.training.trainer import Trainer
 
 ROOT = Path(__file__).parents[1]
 
@@ -177,7 +179,7 @@ def with_two_processes_everything_is_shared(folder):
     assert np.array_equal(devices.own_copy(placed["weights"]), whole["weights"])
     saved, gathered = Path(folder) / "checkpoints", devices.gather(placed)
     if devices.is_first():
-        checkpoint.save(saved, 1, gathered, reference.resolve("walk"), {})
+        checkpoint.save(saved, 1, gathered, load_motion("walk"), {})
     devices.exchange(0)
     arrays = checkpoint.restore(saved / "step_000001").arrays
     restored = checkpoint.fill(jax.device_put(jax.tree.map(np.zeros_like, whole), places), arrays)
@@ -185,8 +187,8 @@ def with_two_processes_everything_is_shared(folder):
     jax.tree.map(np.testing.assert_array_equal, devices.gather(restored), whole)
 
     with pytest.raises(ValueError, match="physics=native runs in one process"):
-        resolve(TrainConfig(physics="native"))
-    config, private = resolve(TrainConfig(physics="mjx", resume=True)), Path(folder) / str(me)
+        resolve_config(TrainConfig(physics="native"))
+    config, private = resolve_config(TrainConfig(physics="mjx", resume=True)), Path(folder) / str(me)
     assert run_directory.claim(Path(folder) / "shared", config, {"process": me}) is None
     assert run_directory.claim(private, config, {}) is None
     assert json.loads((Path(folder) / "shared" / "config.json").read_text())["provenance"] == {"process": 0}
@@ -196,7 +198,7 @@ def with_two_processes_everything_is_shared(folder):
     with pytest.raises(ValueError, match="is not the same directory on all hosts; choose a run_dir that they share"):
         run_directory.claim(private, config, {})
 
-    MjxPhysics(load_for_mjx(MJX_TRAINING))
+    MjxPhysics(load_mjx_model(MJX_TRAINING))
 
 
 def test_two_processes_share_arrays_and_a_directory(tmp_path):
@@ -208,8 +210,8 @@ def test_what_does_not_divide_among_the_devices_is_refused_before_anything_is_co
     monkeypatch.setattr(jax, "device_count", lambda: 2)
     ((name, value),) = sizes.items()
     with pytest.raises(ValueError, match=f"{name} is {value}; it must be a multiple of the 2 devices."):
-        resolve(TrainConfig(physics="mjx", ppo=replace(CONFIG, **sizes)))
-    assert resolve(TrainConfig(physics="native", ppo=replace(CONFIG, **sizes))).physics == "native"
+        resolve_config(TrainConfig(physics="mjx", ppo=replace(CONFIG, **sizes)))
+    assert resolve_config(TrainConfig(physics="native", ppo=replace(CONFIG, **sizes))).physics == "native"
 
 
 def test_the_command_says_so_too(tmp_path):
@@ -230,8 +232,10 @@ def test_without_a_cluster_there_is_nothing_to_join():
 
 
 def with_two_devices_cassie_is_trained():
-    motion = reference.resolve("walk")
-    config = resolve(TrainConfig(physics="mjx", physics_hz=500, ppo=replace(CONFIG, num_robots=4, minibatch_size=16)))
+    motion = load_motion("walk")
+    config = resolve_config(
+        TrainConfig(physics="mjx", physics_hz=500, ppo=replace(CONFIG, num_robots=4, minibatch_size=16))
+    )
     trainer = Trainer(config, motion)
     run = trainer.gather_statistics(trainer.start())
     for _ in range(2):

@@ -8,15 +8,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from cassie_mjx import diagnosis, reference, robot
-from cassie_mjx.config import PPOConfig
-from cassie_mjx.envs import observation
+from cassie_mjx.control import observation
 from cassie_mjx.envs.walk import WalkConfig, WalkEnv
-from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx
+from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance
 from cassie_mjx.ppo import learner
+from cassie_mjx.ppo.config import PPOConfig
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_mjx_model, load_model
+from cassie_mjx.training import divergence
 
 CONFIG = PPOConfig(num_robots=2, num_steps=4, minibatch_size=8, hidden_sizes=(16,))
 PUSH = replace(Disturbance.none(2), push=np.full((2, 3), 50.0), push_stop=np.full(2, 1000, np.int32))
@@ -27,18 +29,18 @@ SHORT_PUSH = replace(PUSH, push_start=np.full(2, 37, np.int32), push_stop=np.ful
 
 @pytest.fixture
 def native():
-    return NativePhysics(load(ModelConfig(physics_hz=500)))
+    return NativePhysics(load_model(ModelConfig(physics_hz=500)))
 
 
 def replayed(physics, robot_1_turns_at=0.0, disturbance=PUSH):
     """The divergence of a rollout of two robots that are pushed, one of which starts with a pelvis that turns."""
-    env = WalkEnv(physics, reference.resolve("walk"), WalkConfig(), 2)
+    env = WalkEnv(physics, load_motion("walk"), WalkConfig(), 2)
     state = env.reset_at(np.array([3, 8]), disturbance)
     qvel = np.array(state.physics.qvel)
     qvel[1, 3] += robot_1_turns_at
     state = replace(state, physics=physics.init(state.physics.qpos, qvel))
-    policy = learner.init(jax.random.key(0), CONFIG, observation.SIZE, robot.NU, 1).policy
-    return diagnosis.replay(env, CONFIG, policy, jax.tree.map(physics_array(physics), state), jax.random.key(1))
+    policy = learner.init(jax.random.key(0), CONFIG, observation.SIZE, cassie.NU, 1).policy
+    return divergence.replay(env, CONFIG, policy, jax.tree.map(physics_array(physics), state), jax.random.key(1))
 
 
 def physics_array(physics):
@@ -63,23 +65,23 @@ def test_what_diverged_diverges_in_plain_mujoco(native, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # where MuJoCo writes its warnings
     found = replayed(native, robot_1_turns_at=1e9) or pytest.fail("no divergence")
     assert found["qvel"][3] > 1e8
-    diagnosis.dump(tmp_path / "nan", native, found)
+    divergence.dump(tmp_path / "nan", native, found)
     assert not np.isfinite(stepped(tmp_path / "nan").qpos).all()
 
 
 @pytest.mark.parametrize(("scene", "disturbance"), [("flat", PUSH), ("flat", SHORT_PUSH), ("terrain", HILL)])
 def test_the_step_is_the_engines(scene, disturbance, tmp_path, monkeypatch):
-    native = NativePhysics(load(ModelConfig(physics_hz=500, scene=scene)))
+    native = NativePhysics(load_model(ModelConfig(physics_hz=500, scene=scene)))
     advance, results = NativePhysics.advance, []
 
     def poisoned(self, *args):
         results.append(advance(self, *args))
         # The third step is lost.
-        return replace(results[-1], qpos=np.full((2, robot.NQ), np.nan)) if len(results) == 3 else results[-1]
+        return replace(results[-1], qpos=np.full((2, cassie.NQ), np.nan)) if len(results) == 3 else results[-1]
 
     monkeypatch.setattr(NativePhysics, "advance", poisoned)
     found = replayed(native, disturbance=disturbance) or pytest.fail("no divergence")
-    diagnosis.dump(tmp_path / "nan", native, found)
+    divergence.dump(tmp_path / "nan", native, found)
     data = stepped(tmp_path / "nan")
     np.testing.assert_allclose(data.qpos, results[2].qpos[0], rtol=0, atol=1e-12)
     np.testing.assert_allclose(data.qvel, results[2].qvel[0], rtol=0, atol=1e-9)
@@ -92,15 +94,15 @@ def test_without_a_divergence_there_is_nothing_to_keep(native):
 @pytest.mark.slow
 def test_on_mjx_the_same(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    physics = MjxPhysics(load_for_mjx(replace(MJX_TRAINING, physics_hz=500)))
+    physics = MjxPhysics(load_mjx_model(replace(MJX_TRAINING, physics_hz=500)))
     found = replayed(physics, robot_1_turns_at=1e9) or pytest.fail("no divergence")
-    diagnosis.dump(tmp_path / "nan", physics, found)
+    divergence.dump(tmp_path / "nan", physics, found)
     assert not np.isfinite(stepped(tmp_path / "nan").qpos).all()
 
 
 def test_terrain_on_mjx_is_kept_as_a_height_field(native, tmp_path):
     found = {"qpos": native.model.qpos0, "terrain": np.float32(0.1)}
-    diagnosis.dump(tmp_path / "nan", native, found)
+    divergence.dump(tmp_path / "nan", native, found)
     model = mujoco.MjModel.from_binary_path(str(tmp_path / "nan" / "model.mjb"))
     assert (model.nhfield, model.opt.timestep) == (1, 0.002)
     assert np.ptp(model.hfield_data * model.hfield_size[0, 2]) == pytest.approx(0.2, rel=0.01)

@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 
 from cassie_mjx.envs import reward
-from cassie_mjx.envs.disturbance import DisturbanceConfig, draw, renew
+from cassie_mjx.envs.brax_env import CassieEnv
+from cassie_mjx.envs.scenario import DisturbanceConfig, draw, renew
 from cassie_mjx.envs.walk import WalkConfig, WalkEnv
-from cassie_mjx.model import MJX_TRAINING, load, load_for_mjx
+from cassie_mjx.motion.files import load_motion
+from cassie_mjx.motion.reference import sample
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance
-from cassie_mjx.reference import resolve, sample
+from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model, load_model
 
 ROBOTS, HZ, SUBSTEPS = 8, 1000, 32
 MODEL = replace(MJX_TRAINING, iterations=100)
@@ -24,12 +26,12 @@ NO_ACTION = np.zeros((ROBOTS, 10), np.float32)
 
 @pytest.fixture(scope="module")
 def motion():
-    return resolve("walk")
+    return load_motion("walk")
 
 
 @pytest.fixture(scope="module")
 def hills():
-    return NativePhysics(load(replace(MODEL, scene="terrain")), max_delay=5)
+    return NativePhysics(load_model(replace(MODEL, scene="terrain")), max_delay=5)
 
 
 def make(physics, motion, disturbance, **config):
@@ -182,7 +184,7 @@ def test_without_disturbances_keys_draw_what_they_always_drew(hills, motion):
 def test_both_engines_draw_and_live_the_same(hills, motion):
     config = DisturbanceConfig(push_n=200, push_pause_s=0.0, terrain_m=0.24)
     states = []
-    for physics in (hills, MjxPhysics(load_for_mjx(MJX_TRAINING))):
+    for physics in (hills, MjxPhysics(load_mjx_model(MJX_TRAINING))):
         env = make(physics, motion, config)
         state = env.reset(jax.random.key(10))
         for i in range(3):
@@ -200,11 +202,10 @@ def test_bad_configurations(motion):
     with pytest.raises(ValueError, match="push_backward=1.1 must be from 0 to 1."):
         DisturbanceConfig(push_backward=1.1)
     with pytest.raises(ValueError, match=r"delay_s=0.01 is 10 physics steps; this engine was made for 0 to 0\."):
-        make(NativePhysics(load(MODEL)), motion, DisturbanceConfig(delay_s=0.01))
+        make(NativePhysics(load_model(MODEL)), motion, DisturbanceConfig(delay_s=0.01))
 
 
 def test_brax_gets_no_disturbances(motion):
-    from cassie_mjx.envs.brax_env import CassieEnv
 
     with pytest.raises(ValueError, match="is not for CassieEnv"):
         CassieEnv(motion, WalkConfig(disturbance=DisturbanceConfig(push_n=100)))

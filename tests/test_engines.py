@@ -5,22 +5,24 @@ import json
 import jax
 import pytest
 
-from cassie_mjx import cli, reference, robot
-from cassie_mjx.config import PPOConfig
-from cassie_mjx.envs import observation
-from cassie_mjx.export import save_policy
-from cassie_mjx.model import ModelConfig, load
+from cassie_mjx import cli
+from cassie_mjx.agents.policy_file import save_policy
+from cassie_mjx.control import observation
+from cassie_mjx.evaluation.returns import referee, walk_returns
+from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.ppo import learner
-from cassie_mjx.returns import referee, walk_returns
+from cassie_mjx.ppo.config import PPOConfig
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.model import ModelConfig, load_model
 from experiments import engines
 from experiments.engines import EnginesConfig, main
 
 
 def test_rows_are_the_returns_on_each_engine_at_each_rate(tmp_path, monkeypatch):
     run, soft = tmp_path / "run", tmp_path / "soft"
-    motion = reference.resolve("walk")
-    policy = learner.init(jax.random.key(0), PPOConfig(), observation.SIZE, robot.NU, 1).policy
+    motion = load_motion("walk")
+    policy = learner.init(jax.random.key(0), PPOConfig(), observation.SIZE, cassie.NU, 1).policy
     for folder, damping in ((run, 1.0), (soft, 0.5)):
         folder.mkdir()
         save_policy(folder / "best.npz", policy, motion, 1.0, damping, {"samples": 7})
@@ -34,7 +36,7 @@ def test_rows_are_the_returns_on_each_engine_at_each_rate(tmp_path, monkeypatch)
         (str(folder), "native", hertz, "mjx") for hertz in (2000, 500) for folder in (soft, run)
     ]
     for row, damping in ((rows[0], 0.5), (rows[1], 1.0)):
-        physics = NativePhysics(load(ModelConfig()), damping=damping)
+        physics = NativePhysics(load_model(ModelConfig()), damping=damping)
         expected = walk_returns(engines.NumpyPolicy.load(run / "best.npz"), referee(motion, physics))
         assert {name: row[name] for name in expected} == {k: pytest.approx(v, abs=0.01) for k, v in expected.items()}
 

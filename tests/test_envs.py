@@ -8,14 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cassie_mjx import robot
-from cassie_mjx.envs import clock, observation, reward
+from cassie_mjx.control import observation
+from cassie_mjx.envs import command as clock
+from cassie_mjx.envs import reward
+from cassie_mjx.envs.brax_env import CassieEnv
 from cassie_mjx.envs.walk import ENDS, WalkConfig, WalkEnv
-from cassie_mjx.model import MJX_TRAINING, load, load_for_mjx
+from cassie_mjx.motion.files import load_motion
+from cassie_mjx.motion.reference import sample, stretch
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance
-from cassie_mjx.reference import resolve, sample, stretch
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model, load_model
 
 ROBOTS = 8
 MODEL = replace(MJX_TRAINING, iterations=100)
@@ -24,12 +28,12 @@ ON_THE_REFERENCE = WalkConfig(start_velocity_mps=0)
 
 @pytest.fixture(scope="module")
 def motion():
-    return resolve("walk")
+    return load_motion("walk")
 
 
 @pytest.fixture(scope="module")
 def native():
-    return NativePhysics(load(MODEL))
+    return NativePhysics(load_model(MODEL))
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +70,7 @@ def test_the_description_covers_the_observation():
 )
 def test_rewards_by_hand(standing_qpos, name, joint, spring):
     qpos = standing_qpos.copy()
-    qpos[robot.qpos_index("left-hip-roll", "right-foot", "left-shin")] += [0.1, 0.2, 0.03]
+    qpos[cassie.qpos_index("left-hip-roll", "right-foot", "left-shin")] += [0.1, 0.2, 0.03]
     qpos[:3] += [0.3, 0.0, -0.1]
     qpos[4] += 0.2
     terms = reward.terms(reward.SCALES[name], qpos, standing_qpos)
@@ -90,7 +94,7 @@ def test_a_step_follows_the_pd_law_to_the_next_sample(env, native, motion):
     action = 0.1 * np.random.default_rng(0).normal(size=(ROBOTS, 10))
     after = env.step(state, action, jax.random.key(2))
     ahead, _ = sample(motion, np.asarray(state.clock.phase) + 1, np.zeros(ROBOTS, int))
-    target = np.asarray(ahead)[:, robot.ACTIVE_QPOS] + action
+    target = np.asarray(ahead)[:, cassie.ACTIVE_QPOS] + action
     moved = native.advance(state.physics, np.asarray(target, float), Disturbance.none(ROBOTS), 32)
     going = ~np.asarray(after.terminated)
     assert going.any()
@@ -248,7 +252,7 @@ def test_a_nan_ends_its_episode_and_is_counted(env):
 
 
 def test_both_engines_step_the_same_task(native, motion):
-    mjx = MjxPhysics(load_for_mjx(MJX_TRAINING))
+    mjx = MjxPhysics(load_mjx_model(MJX_TRAINING))
     phases = jnp.arange(ROBOTS) * 2
     states, envs = [], [WalkEnv(physics, motion, WalkConfig(), ROBOTS) for physics in (native, mjx)]
     for env in envs:
@@ -281,8 +285,6 @@ def test_bad_configurations():
 def test_brax_wrappers_drive_it(motion):
     from brax.envs import training as wrappers
 
-    from cassie_mjx.envs.brax_env import CassieEnv
-
     env = wrappers.wrap(CassieEnv(motion), episode_length=5)
     state = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), ROBOTS))
     assert state.obs.shape == (ROBOTS, 80)
@@ -298,8 +300,6 @@ def test_brax_wrappers_drive_it(motion):
 @pytest.mark.slow
 def test_brax_ppo_trains_on_it(motion):
     from brax.training.agents.ppo import train as ppo
-
-    from cassie_mjx.envs.brax_env import CassieEnv
 
     seen = []
     train = partial(ppo.train, num_timesteps=4096, episode_length=50, num_envs=32, batch_size=32, num_minibatches=4)

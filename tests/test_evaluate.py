@@ -6,10 +6,11 @@ import sys
 
 import pytest
 
-from cassie_mjx import cli, evaluate, suites
+from cassie_mjx import cli, evaluate
 from cassie_mjx.evaluate import EvaluateConfig
-from cassie_mjx.suites import Findings
-from cassie_mjx.trials import Measured
+from cassie_mjx.evaluation import suites
+from cassie_mjx.evaluation.suites import Findings
+from cassie_mjx.evaluation.trial import Measured
 
 
 def test_the_file_has_rows_and_provenance(tmp_path, monkeypatch):

@@ -11,12 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cassie_mjx import export, reference, robot
-from cassie_mjx.config import PPOConfig
-from cassie_mjx.envs import observation
-from cassie_mjx.export import ExportConfig, learner_policy, save_policy
-from cassie_mjx.numpy_policy import NumpyPolicy
+from cassie_mjx import export as export_command
+from cassie_mjx.agents.numpy_policy import NumpyPolicy
+from cassie_mjx.agents.policy_file import learner_policy, policy_path, save_policy, shipped_policies
+from cassie_mjx.control import observation
+from cassie_mjx.export import ExportConfig
+from cassie_mjx.motion.files import load_motion
+from cassie_mjx.motion.reference import stretch
 from cassie_mjx.ppo import learner, networks, normalizer
+from cassie_mjx.ppo.config import PPOConfig
+from cassie_mjx.robot import cassie
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +35,7 @@ def seen():
 @pytest.fixture(scope="module")
 def policy(seen):
     config = PPOConfig(actor_output_scale=1.0)
-    drawn = learner.init(jax.random.key(0), config, observation.SIZE, robot.NU, 1).policy
+    drawn = learner.init(jax.random.key(0), config, observation.SIZE, cassie.NU, 1).policy
     biased = jax.tree.map(lambda x: x + 0.1 if x.ndim == 1 else x, drawn.actor)
     return drawn._replace(actor=biased, normalizer=normalizer.update(drawn.normalizer, jnp.asarray(seen[:-10])))
 
@@ -39,7 +43,7 @@ def policy(seen):
 @pytest.fixture
 def path(policy, tmp_path):
     path = tmp_path / "policy.npz"
-    motion = reference.stretch(reference.resolve("walk"), 2.0)
+    motion = stretch(load_motion("walk"), 2.0)
     save_policy(path, policy, motion, 2.0, 0.5, {"return_weighted": 250.0, "commit": "abc"})
     return path
 
@@ -55,7 +59,7 @@ def test_numpy_acts_as_jax_does(policy, path, seen):
     expected = np.asarray(networks.mode(policy, seen))
     assert np.abs(expected).max() > 0.5
     assert np.abs(saved(seen) - expected).max() < 1e-5
-    assert saved(seen[0]).shape == (robot.NU,)
+    assert saved(seen[0]).shape == (cassie.NU,)
     assert np.abs(saved(seen[0].astype(float)) - expected[0]).max() < 1e-5
 
 
@@ -67,8 +71,8 @@ def test_the_learner_gets_the_same_policy_back(policy, path, seen):
 
 def test_the_file_explains_itself(path):
     saved = NumpyPolicy.load(path)
-    motion = reference.resolve("walk")
-    assert saved.joints == robot.ACTUATORS
+    motion = load_motion("walk")
+    assert saved.joints == cassie.ACTUATORS
     assert saved.speed == 2.0
     assert saved.reference_stride_length == pytest.approx(2 * float(motion.stride_length))
     assert np.array_equal(saved.reference_qpos[:, 3:], motion.qpos[:, 3:])
@@ -81,7 +85,7 @@ def test_the_file_explains_itself(path):
 def test_it_needs_numpy_alone(path):
     program = f"""
 import sys, numpy
-from cassie_mjx.numpy_policy import NumpyPolicy
+from cassie_mjx.agents.numpy_policy import NumpyPolicy
 print(NumpyPolicy.load({str(path)!r})(numpy.zeros(80)).shape)
 print(sorted({{"jax", "flax", "mujoco", "brax", "orbax"}} & set(sys.modules)))
 """
@@ -187,24 +191,24 @@ def test_wrong_inputs_are_refused(path, tmp_path):
 
 @pytest.mark.parametrize("local", ["1x", "1x/best.npz"])
 def test_a_name_of_ours_that_is_here_as_well_is_refused(path, tmp_path, monkeypatch, local):
-    shipped = export.shipped_policies()["1x"]
+    shipped = shipped_policies()["1x"]
     monkeypatch.chdir(tmp_path)
-    assert export.find("1x") == shipped
-    assert export.find("here") is None
+    assert policy_path("1x") == shipped
+    assert policy_path("here") is None
     there = tmp_path / local
     there.parent.mkdir(exist_ok=True)
-    assert export.find("1x") == shipped
+    assert policy_path("1x") == shipped
     path.rename(there)
     with pytest.raises(ValueError, match=f"^1x comes with .*, as {local}; write ./1x for the one here, or {shipped} "):
-        export.find("1x")
-    assert export.find("./1x") == Path(local)
-    assert export.find(str(shipped)) == shipped
+        policy_path("1x")
+    assert policy_path("./1x") == Path(local)
+    assert policy_path(str(shipped)) == shipped
 
 
 def test_export_copies_a_checked_policy(path, tmp_path, capsys):
     path.rename(tmp_path / "best.npz")
-    export.main(ExportConfig(run=str(tmp_path), out=str(tmp_path / "mine.npz")))
+    export_command.main(ExportConfig(run=str(tmp_path), out=str(tmp_path / "mine.npz")))
     assert "return_weighted 250.0" in capsys.readouterr().out
     assert NumpyPolicy.load(tmp_path / "mine.npz").provenance == {"return_weighted": 250.0, "commit": "abc"}
     with pytest.raises(ValueError, match="choose one of best, last"):
-        export.main(ExportConfig(run=str(tmp_path), out=str(tmp_path / "a.npz"), which="first"))
+        export_command.main(ExportConfig(run=str(tmp_path), out=str(tmp_path / "a.npz"), which="first"))

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from subject import Swaying
 
-from cassie_mjx.film import film
-from cassie_mjx.model import ModelConfig, load
+from cassie_mjx.evaluation.film import film
+from cassie_mjx.evaluation.scheduler import fly
+from cassie_mjx.evaluation.trial import Trial, placed
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.sweeps import fly
-from cassie_mjx.trials import Trial, placed
+from cassie_mjx.robot.model import ModelConfig, load_model
 
 
 @pytest.mark.parametrize(
@@ -17,7 +17,7 @@ from cassie_mjx.trials import Trial, placed
 def test_a_film_shows_the_trial_that_is_measured(disturbed):
     """Thirty control steps, filmed at 100 frames a second, end in the state that `fly` measures."""
     subject, trial = Swaying(), Trial(0, 0.96, **disturbed)
-    physics = NativePhysics(load(ModelConfig(scene="terrain" if trial.terrain else "flat")), trial.delay)
+    physics = NativePhysics(load_model(ModelConfig(scene="terrain" if trial.terrain else "flat")), trial.delay)
     starts = subject.start(physics, np.zeros(1))
     result = fly(subject, physics, starts, [trial])
     first, *_, last = film(subject, Trial(0, 0.97, **disturbed), fps=100)

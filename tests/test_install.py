@@ -27,7 +27,9 @@ def run_installed(site, folder, program):
 
 
 def test_the_wheel_finds_its_robot(installed, tmp_path):
-    program = "import cassie_mjx.model as m; print(m.__file__, m.load(m.ModelConfig()).nq, m.xml_path('terrain'))"
+    program = (
+        "import cassie_mjx.robot.model as m; print(m.__file__, m.load_model(m.ModelConfig()).nq, m.xml_path('terrain'))"
+    )
     module, nq, xml = run_installed(installed, tmp_path, program).split()
     assert module.startswith(str(installed))
     assert nq == "35"
@@ -35,9 +37,7 @@ def test_the_wheel_finds_its_robot(installed, tmp_path):
 
 
 def test_the_wheel_finds_its_policy(installed, tmp_path):
-    program = (
-        "from cassie_mjx import subjects, export as e; print(e.__file__, subjects.resolve('1x').provenance['seed'])"
-    )
+    program = "from cassie_mjx.agents import make as e; print(e.__file__, e.make_agent('1x').provenance['seed'])"
     module, seed = run_installed(installed, tmp_path, program).split()
     assert module.startswith(str(installed))
     assert int(seed) >= 0

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import pytest
 
 from cassie_mjx.envs.walk import WALK_PRESETS
-from cassie_mjx.run_directory import comparable
-from cassie_mjx.training import TrainConfig
+from cassie_mjx.training.config import TrainConfig
+from cassie_mjx.training.run_directory import comparable
 from experiments import learning
 from experiments.learning import (
     ACTOR,

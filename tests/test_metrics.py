@@ -8,7 +8,7 @@ import pytest
 from tensorboardX.event_file_writer import EventsWriter
 from tensorboardX.proto.event_pb2 import Event, SessionLog
 
-from cassie_mjx.metrics import JsonLines, Stopwatch, TensorBoard
+from cassie_mjx.training.loggers import JsonLines, Stopwatch, TensorBoard
 
 
 def test_json_lines_forget_a_lost_future(tmp_path):

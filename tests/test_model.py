@@ -4,16 +4,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from cassie_mjx import robot
-from cassie_mjx.model import (
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.ground import set_terrain
+from cassie_mjx.robot.loops import close_loops, loop_error
+from cassie_mjx.robot.model import (
     CONTACTS,
     ModelConfig,
-    close_loops,
-    load,
-    load_for_mjx,
-    loop_error,
+    load_mjx_model,
+    load_model,
     servo_model,
-    set_terrain,
     steps_per_control,
     xml_path,
 )
@@ -91,17 +90,17 @@ def test_motors_have_the_figures_gears_and_limits(scene, figures):
     for i, figure in enumerate(figures["actuators"]):
         motor = scene.actuator(figure["joint"])
         assert scene.joint(motor.trnid[0]).name == figure["joint"]
-        assert motor.gear[0] == figure["gear"] == robot.GEAR[i]
+        assert motor.gear[0] == figure["gear"] == cassie.GEAR[i]
         np.testing.assert_allclose(motor.ctrlrange, [-figure["motor_torque_limit_Nm"], figure["motor_torque_limit_Nm"]])
-        assert robot.TORQUE_LIMIT[i] == pytest.approx(figure["joint_torque_limit_Nm"])
-        assert robot.TORQUE_LIMIT[i] == pytest.approx(figure["gear"] * figure["motor_torque_limit_Nm"])
+        assert cassie.TORQUE_LIMIT[i] == pytest.approx(figure["joint_torque_limit_Nm"])
+        assert cassie.TORQUE_LIMIT[i] == pytest.approx(figure["gear"] * figure["motor_torque_limit_Nm"])
 
 
 def test_gains_are_the_published_ones(figures):
     gains = figures["pd_gains_joint_space"]
-    for i, name in enumerate(robot.ACTIVE * 2):
-        assert robot.P_GAIN[i] == gains["P_Nm_per_rad"][name]
-        assert robot.D_GAIN[i] == gains["D_Nms_per_rad"][name]
+    for i, name in enumerate(cassie.ACTIVE * 2):
+        assert cassie.P_GAIN[i] == gains["P_Nm_per_rad"][name]
+        assert cassie.D_GAIN[i] == gains["D_Nms_per_rad"][name]
 
 
 def test_loops_have_the_figures_anchors_and_close_at_the_reference(scene, figures):
@@ -148,15 +147,15 @@ def test_sensors_and_sites_are_the_figures(scene, figures):
 def test_visual_geometry_weighs_nothing_and_touches_nothing(scene):
     for i in range(scene.ngeom):
         assert scene.geom_contype[i] == scene.geom_conaffinity[i] == 0
-    assert load(ModelConfig()).body_mass.sum() == scene.body_mass.sum()
-    np.testing.assert_array_equal(load(ModelConfig()).body_inertia, scene.body_inertia)
+    assert load_model(ModelConfig()).body_mass.sum() == scene.body_mass.sum()
+    np.testing.assert_array_equal(load_model(ModelConfig()).body_inertia, scene.body_inertia)
 
 
 @pytest.mark.parametrize("contacts", CONTACTS)
 def test_contacts_are_the_chosen_pairs(contacts):
     touching = {"walking": 2, "referee": 16, "published": 18}
-    assert load(ModelConfig(contacts=contacts)).npair == touching[contacts]
-    assert load_for_mjx(ModelConfig(contacts=contacts)).npair == touching[contacts]
+    assert load_model(ModelConfig(contacts=contacts)).npair == touching[contacts]
+    assert load_mjx_model(ModelConfig(contacts=contacts)).npair == touching[contacts]
 
 
 def test_published_contacts_are_all_that_the_figures_name(figures):
@@ -169,7 +168,7 @@ def test_published_contacts_are_all_that_the_figures_name(figures):
         for b, group_b in groups.items()
         if (group_a, group_b) == ("collision-left", "collision-right")
     }
-    model = load(ModelConfig(contacts="published"))
+    model = load_model(ModelConfig(contacts="published"))
     found = {tuple(model.pair(i).name.split(":")) for i in range(model.npair)}
     assert found == wanted
 
@@ -177,31 +176,31 @@ def test_published_contacts_are_all_that_the_figures_name(figures):
 def test_standing_keeps_the_published_angles_and_closes_its_loops(model, standing_qpos, figures):
     published = figures["standing_active_joints_rad"]
     for name in ("hip-roll", "hip-yaw", "hip-pitch", "knee"):
-        assert standing_qpos[robot.qpos_index(f"left-{name}")[0]] == pytest.approx(published[name], abs=0.002)
+        assert standing_qpos[cassie.qpos_index(f"left-{name}")[0]] == pytest.approx(published[name], abs=0.002)
     assert loop_error(model, standing_qpos) < 1e-4
-    np.testing.assert_allclose(robot.mirror_qpos(standing_qpos), standing_qpos, atol=1e-12)
+    np.testing.assert_allclose(cassie.mirror_qpos(standing_qpos), standing_qpos, atol=1e-12)
 
 
 def test_close_loops_finds_the_passive_joints_again(model, standing_qpos):
     rng = np.random.default_rng(0)
     qpos = standing_qpos.copy()
-    passive = robot.qpos_index("left-tarsus", "right-tarsus", "left-foot-crank", "right-plantar-rod")
+    passive = cassie.qpos_index("left-tarsus", "right-tarsus", "left-foot-crank", "right-plantar-rod")
     qpos[passive] += rng.uniform(-0.1, 0.1, 4)
     assert loop_error(model, qpos) > 1e-3
     closed = close_loops(model, qpos)
     assert loop_error(model, closed) < 1e-9
-    np.testing.assert_array_equal(closed[robot.ACTIVE_QPOS], qpos[robot.ACTIVE_QPOS])
+    np.testing.assert_array_equal(closed[cassie.ACTIVE_QPOS], qpos[cassie.ACTIVE_QPOS])
 
 
 def test_close_loops_refuses_an_impossible_pose(model, standing_qpos):
     qpos = standing_qpos.copy()
-    qpos[robot.qpos_index("left-knee")] = np.pi
+    qpos[cassie.qpos_index("left-knee")] = np.pi
     with pytest.raises(ValueError, match="do not fit the mechanism"):
         close_loops(model, qpos)
 
 
 def test_terrain_is_the_sine_everywhere():
-    model = load(ModelConfig(scene="terrain"))
+    model = load_model(ModelConfig(scene="terrain"))
     set_terrain(model, 0.3)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -224,19 +223,19 @@ def test_servo_is_the_pd_law(model):
     data = mujoco.MjData(servo)
     rng = np.random.default_rng(1)
     data.qpos[:] = model.key("standing").qpos
-    data.qvel[:] = rng.normal(size=robot.NV)
-    data.ctrl[:] = robot.STANDING_TARGET + rng.normal(size=robot.NU)
+    data.qvel[:] = rng.normal(size=cassie.NV)
+    data.ctrl[:] = cassie.STANDING_TARGET + rng.normal(size=cassie.NU)
     mujoco.mj_forward(servo, data)
-    torque = robot.pd_torque(data.ctrl, data.qpos[robot.ACTIVE_QPOS], data.qvel[robot.ACTIVE_QVEL])
-    assert (np.abs(torque) == robot.TORQUE_LIMIT).any()
-    np.testing.assert_allclose(data.qfrc_actuator[robot.ACTIVE_QVEL], torque, atol=1e-12)
-    assert model.actuator_gear[0, 0] == robot.GEAR[0], "the original keeps its motors"
+    torque = cassie.pd_torque(data.ctrl, data.qpos[cassie.ACTIVE_QPOS], data.qvel[cassie.ACTIVE_QVEL])
+    assert (np.abs(torque) == cassie.TORQUE_LIMIT).any()
+    np.testing.assert_allclose(data.qfrc_actuator[cassie.ACTIVE_QVEL], torque, atol=1e-12)
+    assert model.actuator_gear[0, 0] == cassie.GEAR[0], "the original keeps its motors"
 
 
 @pytest.mark.parametrize(("physics_hz", "steps"), [(500, 16), (1000, 32), (2000, 64)])
 def test_physics_steps_in_a_control_step(physics_hz, steps):
     assert steps_per_control(physics_hz) == steps
-    assert load(ModelConfig(physics_hz=physics_hz)).opt.timestep * steps == pytest.approx(0.032)
+    assert load_model(ModelConfig(physics_hz=physics_hz)).opt.timestep * steps == pytest.approx(0.032)
 
 
 @pytest.mark.parametrize("physics_hz", [0, -500, 333, 1001])
@@ -262,10 +261,10 @@ def write_variant(tmp_path, change):
 def test_a_model_without_a_joint(tmp_path):
     path = write_variant(tmp_path, lambda xml: xml.replace('name="left-shin" class', 'name="left-chin" class'))
     with pytest.raises(ValueError, match=r"The model lacks the joint left-shin; it has .*left-chin"):
-        load(ModelConfig(), path)
+        load_model(ModelConfig(), path)
 
 
 def test_a_file_that_is_no_model(tmp_path):
     path = write_variant(tmp_path, lambda xml: xml[: len(xml) // 2])
     with pytest.raises(ValueError, match="is not a model that MuJoCo reads"):
-        load(ModelConfig(), path)
+        load_model(ModelConfig(), path)

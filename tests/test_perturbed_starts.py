@@ -4,10 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from cassie_mjx import cli, robot
-from cassie_mjx.controller import CONTROLLERS
-from cassie_mjx.model import loop_error
+from cassie_mjx import cli
+from cassie_mjx.heuristic.config import CONTROLLERS
 from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.loops import loop_error
 from experiments import perturbed_starts
 from experiments.perturbed_starts import PerturbedConfig, perturbed
 from experiments.record_reference import foot_points
@@ -21,7 +22,7 @@ def physics(model):
 def test_starts_are_as_far_from_standing_as_asked(physics, standing_qpos):
     config = PerturbedConfig(robots=200, tilt_rad=0.04, joint_rad=0.03, drop_m=0.02, pelvis_mps=0.5, joint_radps=0.7)
     qpos, qvel = perturbed(config, physics)
-    joints = np.abs(qpos - standing_qpos)[:, robot.ACTIVE_QPOS]
+    joints = np.abs(qpos - standing_qpos)[:, cassie.ACTIVE_QPOS]
     assert 0.029 < joints.max() <= 0.03
     w, x, y, z = qpos[:, 3:7].T
     # Cosine of the angle between the pelvis' axis and the vertical; two rotations of at most 0.04 rad.
@@ -29,7 +30,7 @@ def test_starts_are_as_far_from_standing_as_asked(physics, standing_qpos):
     assert 0.04 < tilt.max() < 0.04 * 2**0.5 + 1e-3
     np.testing.assert_allclose(2 * (w * z + x * y), 0, atol=2e-3)
     assert 0.49 < np.abs(qvel[:, :3]).max() <= 0.5
-    assert 0.69 < np.abs(qvel[:, robot.ACTIVE_QVEL]).max() <= 0.7
+    assert 0.69 < np.abs(qvel[:, cassie.ACTIVE_QVEL]).max() <= 0.7
     lowest = foot_points(physics, qpos)[..., 2].min(axis=1)
     assert -1e-12 < lowest.min() < 0.001
     assert 0.019 < lowest.max() < 0.02 + 1e-12

@@ -10,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cassie_mjx import robot
-from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx, loop_error
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.loops import loop_error
+from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_mjx_model, load_model
 from experiments.agreement import loop_consistent
 
 CONVERGED = ModelConfig(physics_hz=1000, contacts="walking", iterations=50, ls_iterations=50)
@@ -24,13 +25,13 @@ DAMPING = 0.5
 
 @pytest.fixture(scope="module")
 def physics():
-    return MjxPhysics(load_for_mjx(MJX_TRAINING), max_delay=8, damping=DAMPING)
+    return MjxPhysics(load_mjx_model(MJX_TRAINING), max_delay=8, damping=DAMPING)
 
 
 @pytest.fixture(scope="module")
 def referee():
     """MuJoCo C at the same rate and with the same contacts, converged."""
-    return NativePhysics(load(replace(CONVERGED, iterations=100)), max_delay=8, damping=DAMPING)
+    return NativePhysics(load_model(replace(CONVERGED, iterations=100)), max_delay=8, damping=DAMPING)
 
 
 @pytest.fixture(scope="module")
@@ -39,9 +40,9 @@ def states(referee, standing_qpos):
     rng = np.random.default_rng(3)
     scales = np.array([0, 0.3, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5])
     qvel = np.stack(
-        [loop_consistent(referee.model, standing_qpos, scale * rng.normal(size=robot.NV)) for scale in scales]
+        [loop_consistent(referee.model, standing_qpos, scale * rng.normal(size=cassie.NV)) for scale in scales]
     )
-    targets = robot.STANDING_TARGET + 0.1 * rng.normal(size=(BATCH, robot.NU))
+    targets = cassie.STANDING_TARGET + 0.1 * rng.normal(size=(BATCH, cassie.NU))
     disturbance = replace(
         Disturbance.none(BATCH),
         push=rng.uniform(-80, 80, (BATCH, 3)),
@@ -90,13 +91,13 @@ def test_float32_over_one_and_ten_control_steps(physics, referee, states):
         c = referee.advance(c, targets, disturbance, 32)
         x = physics.advance(x, targets, disturbance, 32)
     np.testing.assert_allclose(x.qpos[:, :3], c.qpos[:, :3], atol=5e-3)
-    np.testing.assert_allclose(x.qpos[:, robot.ACTIVE_QPOS], c.qpos[:, robot.ACTIVE_QPOS], atol=2e-2)
+    np.testing.assert_allclose(x.qpos[:, cassie.ACTIVE_QPOS], c.qpos[:, cassie.ACTIVE_QPOS], atol=2e-2)
     np.testing.assert_array_equal(x.step, c.step)
 
 
 def test_standing_has_the_same_outcome_in_both_engines(physics, referee, standing_qpos):
-    qpos, qvel = np.tile(standing_qpos, (BATCH, 1)), np.zeros((BATCH, robot.NV))
-    targets = np.tile(robot.STANDING_TARGET, (BATCH, 1))
+    qpos, qvel = np.tile(standing_qpos, (BATCH, 1)), np.zeros((BATCH, cassie.NV))
+    targets = np.tile(cassie.STANDING_TARGET, (BATCH, 1))
     c = referee.init(qpos, qvel)
     x = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
     for _ in range(63):
@@ -113,10 +114,10 @@ def test_terrain_agrees_with_the_height_field(physics, standing_qpos):
     qpos = np.tile(standing_qpos, (BATCH, 1))
     qpos[:, 0] = np.linspace(0, 2 * np.pi, BATCH)
     qpos[:, 2] += heights * np.sin(qpos[:, 0]) + 0.02 * heights / 0.3
-    qvel = np.zeros((BATCH, robot.NV))
-    targets = np.tile(robot.STANDING_TARGET, (BATCH, 1))
+    qvel = np.zeros((BATCH, cassie.NV))
+    targets = np.tile(cassie.STANDING_TARGET, (BATCH, 1))
     disturbance = replace(Disturbance.none(BATCH), terrain=heights)
-    hills = NativePhysics(load(replace(CONVERGED, scene="terrain", iterations=100)))
+    hills = NativePhysics(load_model(replace(CONVERGED, scene="terrain", iterations=100)))
     c = hills.advance(hills.init(qpos, qvel), targets, disturbance, 192)
     x = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
     for _ in range(6):
@@ -153,7 +154,7 @@ def test_advance_can_be_scanned_inside_a_jit(physics, states):
 def test_bad_input_gets_one_sentence(physics, states):
     qpos, qvel, targets, disturbance = states
     with pytest.raises(ValueError, match=r"qvel\[0, 3\] is inf"):
-        physics.init(qpos, np.where(np.arange(robot.NV) == 3, np.inf, qvel))
+        physics.init(qpos, np.where(np.arange(cassie.NV) == 3, np.inf, qvel))
     state = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
     with pytest.raises(ValueError, match=r"target has shape \(8, 9\)"):
         physics.advance(state, targets[:, 1:], disturbance, 1)
@@ -168,13 +169,13 @@ def test_large_batches_finish(batch):
 import jax, numpy as np
 jax.config.update("jax_compilation_cache_dir", {str(jax.config.jax_compilation_cache_dir)!r})
 from cassie_mjx import robot
-from cassie_mjx.model import MJX_TRAINING, load_for_mjx, standing
+from cassie_mjx.model import MJX_TRAINING, load_mjx_model, standing
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.types import Disturbance
-physics = MjxPhysics(load_for_mjx(MJX_TRAINING))
+physics = MjxPhysics(load_mjx_model(MJX_TRAINING))
 qpos = np.tile(standing(physics.model), ({batch}, 1)).astype(np.float32)
 state = physics.init(qpos, np.zeros(({batch}, 32), np.float32))
-state = physics.advance(state, np.tile(robot.STANDING_TARGET, ({batch}, 1)), Disturbance.none({batch}), 32)
+state = physics.advance(state, np.tile(cassie.STANDING_TARGET, ({batch}, 1)), Disturbance.none({batch}), 32)
 print(float(np.mean(state.qpos[:, 2])))
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=240, check=True)

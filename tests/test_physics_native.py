@@ -7,17 +7,19 @@ import mujoco
 import numpy as np
 import pytest
 
-from cassie_mjx import robot
-from cassie_mjx.model import ModelConfig, load, loop_error, servo_model, set_terrain
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance, delayed
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.ground import set_terrain
+from cassie_mjx.robot.loops import loop_error
+from cassie_mjx.robot.model import ModelConfig, load_model, servo_model
 
 
 def start(physics, qpos, batch, seed=0):
     """`batch` robots near `qpos`, moving a little, each with targets of its own."""
     rng = np.random.default_rng(seed)
-    qvel = 0.3 * rng.normal(size=(batch, robot.NV))
-    targets = robot.STANDING_TARGET + 0.1 * rng.normal(size=(batch, robot.NU))
+    qvel = 0.3 * rng.normal(size=(batch, cassie.NV))
+    targets = cassie.STANDING_TARGET + 0.1 * rng.normal(size=(batch, cassie.NU))
     return physics.init(np.tile(qpos, (batch, 1)), qvel), targets
 
 
@@ -27,9 +29,9 @@ def steps(*values):
 
 def test_standing_stays_up_with_its_loops_closed(model, standing_qpos):
     physics = NativePhysics(model)
-    state = physics.init(standing_qpos[None], np.zeros((1, robot.NV)))
+    state = physics.init(standing_qpos[None], np.zeros((1, cassie.NV)))
     for _ in range(63):
-        state = physics.advance(state, robot.STANDING_TARGET[None], Disturbance.none(1), 64)
+        state = physics.advance(state, cassie.STANDING_TARGET[None], Disturbance.none(1), 64)
         assert state.qpos[0, 2] == pytest.approx(standing_qpos[2], abs=0.002)
         assert loop_error(model, state.qpos)[0] < 1e-3
     assert state.step[0] == 63 * 64
@@ -84,17 +86,17 @@ def test_both_paths_give_the_same_trajectory(model, standing_qpos, damping):
 @pytest.mark.parametrize("physics_hz", [500, 1000, 2000])
 def test_a_push_of_a_fifth_of_a_second_gives_its_momentum(physics_hz, standing_qpos):
     """Floating without gravity, F t = M v, whatever the motors do."""
-    model = load(ModelConfig(physics_hz=physics_hz))
+    model = load_model(ModelConfig(physics_hz=physics_hz))
     model.opt.gravity[:] = 0
     physics = NativePhysics(model)
     qpos = standing_qpos + np.array([0, 0, 5.0] + [0] * 32)
-    state = physics.init(np.tile(qpos, (2, 1)), np.zeros((2, robot.NV)))
+    state = physics.init(np.tile(qpos, (2, 1)), np.zeros((2, cassie.NV)))
     duration = round(0.2 * physics_hz)
     force = np.array([[100.0, -40.0, 20.0], [0.0, 60.0, 0.0]])
     disturbance = replace(
         Disturbance.none(2), push=force, push_start=steps(13, 57), push_stop=steps(13 + duration, 57 + duration)
     )
-    state = physics.advance(state, np.tile(qpos[robot.ACTIVE_QPOS], (2, 1)), disturbance, physics_hz // 2)
+    state = physics.advance(state, np.tile(qpos[cassie.ACTIVE_QPOS], (2, 1)), disturbance, physics_hz // 2)
     data = mujoco.MjData(model)
     for i in range(2):
         data.qpos[:], data.qvel[:] = state.qpos[i], state.qvel[i]
@@ -116,7 +118,7 @@ def test_delayed_pd_is_the_pd_law_on_old_states(model, standing_qpos):
         seen = deque([(data.qpos.copy(), data.qvel.copy())] * (delay + 1), maxlen=delay + 1)
         for _ in range(80):
             q, qdot = seen[0]
-            torque = robot.P_GAIN * (targets[i] - q[robot.ACTIVE_QPOS]) - robot.D_GAIN * qdot[robot.ACTIVE_QVEL]
+            torque = cassie.P_GAIN * (targets[i] - q[cassie.ACTIVE_QPOS]) - cassie.D_GAIN * qdot[cassie.ACTIVE_QVEL]
             data.ctrl[:] = torque / model.actuator_gear[:, 0]
             mujoco.mj_step(model, data)
             seen.append((data.qpos.copy(), data.qvel.copy()))
@@ -137,24 +139,24 @@ def test_one_and_two_threads_agree_to_the_bit(model, standing_qpos):
 
 
 def test_each_robot_has_its_own_terrain(standing_qpos):
-    model = load(ModelConfig(scene="terrain"))
+    model = load_model(ModelConfig(scene="terrain"))
     physics = NativePhysics(model)
     qpos = np.tile(standing_qpos, (3, 1))
     heights = np.array([0.0, 0.1, 0.3])
     # The crest of sin x at pi / 2 is level.
     qpos[:, 0] += np.pi / 2
     qpos[:, 2] += heights
-    state = physics.init(qpos, np.zeros((3, robot.NV)))
-    targets = np.tile(robot.STANDING_TARGET, (3, 1))
+    state = physics.init(qpos, np.zeros((3, cassie.NV)))
+    targets = np.tile(cassie.STANDING_TARGET, (3, 1))
     disturbance = replace(Disturbance.none(3), terrain=heights)
     moved = physics.advance(state, targets, disturbance, 400)
     np.testing.assert_allclose(moved.qpos[:, 2], qpos[:, 2], atol=0.01)
     for i, height in enumerate(heights):
-        alone = load(ModelConfig(scene="terrain"))
+        alone = load_model(ModelConfig(scene="terrain"))
         set_terrain(alone, height)
         servo = servo_model(alone)
         data = mujoco.MjData(servo)
-        data.qpos[:], data.ctrl[:] = qpos[i], robot.STANDING_TARGET
+        data.qpos[:], data.ctrl[:] = qpos[i], cassie.STANDING_TARGET
         for _ in range(400):
             mujoco.mj_step(servo, data)
         np.testing.assert_allclose(moved.qpos[i], data.qpos, atol=1e-12)
@@ -185,7 +187,7 @@ def test_a_nan_stays_with_its_robot(model, standing_qpos):
 
 def test_bad_input_gets_one_sentence(model, standing_qpos):
     physics = NativePhysics(model)
-    qpos, qvel = np.tile(standing_qpos, (2, 1)), np.zeros((2, robot.NV))
+    qpos, qvel = np.tile(standing_qpos, (2, 1)), np.zeros((2, cassie.NV))
     with pytest.raises(ValueError, match=r"shapes \(35,\) and \(32,\); they must be \[B, 35\] and \[B, 32\]"):
         physics.init(qpos[0], qvel[0])
     broken = qpos.copy()
@@ -193,7 +195,7 @@ def test_bad_input_gets_one_sentence(model, standing_qpos):
     with pytest.raises(ValueError, match=r"qpos\[1, 9\] is nan; a starting state must be finite"):
         physics.init(broken, qvel)
     state = physics.init(qpos, qvel)
-    targets = np.tile(robot.STANDING_TARGET, (2, 1))
+    targets = np.tile(cassie.STANDING_TARGET, (2, 1))
     with pytest.raises(ValueError, match=r"target has shape \(3, 10\); for 2 robots it must be \(2, 10\)"):
         physics.advance(state, np.zeros((3, 10)), Disturbance.none(2), 1)
     with pytest.raises(ValueError, match=r"disturbance.push has shape \(5, 3\)"):

@@ -4,7 +4,7 @@ from dataclasses import FrozenInstanceError, replace
 
 import pytest
 
-from cassie_mjx.config import PPO_PRESETS, PPOConfig
+from cassie_mjx.ppo.config import PPO_PRESETS, PPOConfig
 
 
 def test_paper_preset_carries_the_papers_figures():

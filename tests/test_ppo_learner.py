@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cassie_mjx.config import PPOConfig
 from cassie_mjx.ppo import learner, networks
+from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.ppo.types import Rollout
 
 CONFIG = PPOConfig(num_robots=8, num_steps=8, updates_per_iteration=6, minibatch_size=32, hidden_sizes=(16,))

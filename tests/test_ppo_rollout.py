@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cassie_mjx.config import PPOConfig
 from cassie_mjx.ppo import learner, networks, rollout
+from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.ppo.types import Rollout
 
 ROBOTS, TIME_LIMIT, REACH, STRIDE = 64, 12, 1.5, 0.3

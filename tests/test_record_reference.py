@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from cassie_mjx import robot
-from cassie_mjx.reference import load, resolve, shipped_path
+from cassie_mjx.motion.files import load_motion, read_motion, shipped_path
+from cassie_mjx.robot import cassie
 from experiments.record_reference import RecordConfig, choose, record, slip
 
 
 def test_the_recorder_takes_the_stride_nearest_to_half_a_metre():
-    qpos = np.zeros((3, 4, robot.NQ))
+    qpos = np.zeros((3, 4, cassie.NQ))
     qpos[..., 2] = 0.9
     qpos[1, 2, 2] = 0.5
     # 0.3 and 0.4 along two axes are 0.5; the third robot falls.
@@ -38,7 +38,7 @@ def test_a_recording_that_cannot_be_made():
 
 
 def test_shipped_file_says_where_it_comes_from():
-    _, provenance = load(shipped_path("walk"))
+    _, provenance = read_motion(shipped_path("walk"))
     assert provenance["command"].startswith("python -m experiments.record_reference preset=compliant")
     assert provenance["period_s"] == pytest.approx(0.704)
     assert provenance["end_minus_start_qpos"] < 1e-3
@@ -51,9 +51,9 @@ def test_shipped_file_says_where_it_comes_from():
 @pytest.mark.slow
 def test_shipped_file_is_what_the_recorder_makes():
     """The walk has converged onto one cycle; other processors round otherwise on the way to it."""
-    _, provenance = load(shipped_path("walk"))
+    _, provenance = read_motion(shipped_path("walk"))
     again, figures = record(RecordConfig(preset=provenance["preset"], strides=provenance["strides"]))
-    motion = resolve("walk")
+    motion = load_motion("walk")
     assert figures["controller_speed_mps"] == provenance["controller_speed_mps"]
     np.testing.assert_allclose(again.stride_length, motion.stride_length, atol=1e-3)
     np.testing.assert_allclose(again.qpos, motion.qpos, atol=2e-3)

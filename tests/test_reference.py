@@ -8,31 +8,24 @@ import mujoco
 import numpy as np
 import pytest
 
-from cassie_mjx import robot
-from cassie_mjx.model import loop_error
+from cassie_mjx.motion.files import load_motion
+from cassie_mjx.motion.recording import make_periodic
+from cassie_mjx.motion.reference import ReferenceMotion, blend_motions, nearest_sample, sample, stretch, stretch_states
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance
-from cassie_mjx.reference import (
-    ReferenceMotion,
-    blend,
-    make_periodic,
-    nearest_sample,
-    resolve,
-    sample,
-    stretch,
-    stretch_states,
-)
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.loops import loop_error
 from experiments.record_reference import foot_points
 
-X, Y, Z = robot.qpos_index("pelvis")[:3]
-ROTATION = robot.qpos_index("pelvis")[3:]
-ACHILLES = [robot.qpos_index(f"{side}-achilles-rod") for side in robot.SIDES]
+X, Y, Z = cassie.qpos_index("pelvis")[:3]
+ROTATION = cassie.qpos_index("pelvis")[3:]
+ACHILLES = [cassie.qpos_index(f"{side}-achilles-rod") for side in cassie.SIDES]
 HALF = 11
 
 
 @pytest.fixture(scope="module")
 def motion():
-    return resolve("walk")
+    return load_motion("walk")
 
 
 def turned(angle):
@@ -42,11 +35,11 @@ def turned(angle):
 
 def toy(samples=4, yaw=0.0):
     """Sample k at x = 0.1 k; everything else made of small whole numbers."""
-    qpos = np.tile(np.arange(robot.NQ, dtype=float), (samples, 1))
+    qpos = np.tile(np.arange(cassie.NQ, dtype=float), (samples, 1))
     qpos[:, X] = 0.1 * np.arange(samples)
     for quaternion in (ROTATION, *ACHILLES):
         qpos[:, quaternion] = turned(yaw)
-    return ReferenceMotion(qpos, np.full((samples, robot.NV), 2.0), np.array(0.5))
+    return ReferenceMotion(qpos, np.full((samples, cassie.NV), 2.0), np.array(0.5))
 
 
 def next_stride(motion):
@@ -63,7 +56,7 @@ def test_phase_wraps_and_carries_into_the_stride():
     qpos, qvel = sample(toy(), phase, stride)
     np.testing.assert_allclose(qpos[:, X], [0.0, 0.3, 0.5, 0.1 + 3 * 0.5, 0.3 + 0.5, 0.1 + 500], atol=1e-12)
     np.testing.assert_array_equal(qpos[:, 1:], np.tile(toy().qpos[0, 1:], (6, 1)))
-    assert qvel.shape == (6, robot.NV)
+    assert qvel.shape == (6, cassie.NV)
 
 
 def test_sample_under_jit_is_sample_on_numpy(motion):
@@ -106,7 +99,7 @@ def test_states_stretch_robot_by_robot(motion):
 
 
 def test_blend_of_two_speeds_is_the_speed_between(motion):
-    mixed = blend(stretch(motion, 3), stretch(motion, 1), 0.25)
+    mixed = blend_motions(stretch(motion, 3), stretch(motion, 1), 0.25)
     expected = stretch(motion, 1.5)
     for ours, wanted in zip(jax.tree.leaves(mixed), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(ours, wanted, atol=1e-12)
@@ -116,16 +109,16 @@ def test_blend_turns_the_shorter_way_and_keeps_quaternions_unit():
     left, right = toy(yaw=0.4), toy(yaw=-0.4)
     right = replace(right, qpos=right.qpos.copy())
     right.qpos[1, ROTATION] *= -1
-    middle, most = blend(left, right, 0.5), blend(left, right, 0.9)
+    middle, most = blend_motions(left, right, 0.5), blend_motions(left, right, 0.9)
     np.testing.assert_allclose(middle.qpos[:, ROTATION], np.tile(turned(0), (4, 1)), atol=1e-12)
     # Normalised linear interpolation: tan(yaw / 2) = (2 lambda - 1) tan(0.2).
     yaw = 2 * np.arctan(0.8 * np.tan(0.2))
     np.testing.assert_allclose(most.qpos[:, ACHILLES[1]], np.tile(turned(yaw), (4, 1)), atol=1e-12)
-    np.testing.assert_array_equal(most.qpos[:, robot.ACTIVE_QPOS], left.qpos[:, robot.ACTIVE_QPOS])
+    np.testing.assert_array_equal(most.qpos[:, cassie.ACTIVE_QPOS], left.qpos[:, cassie.ACTIVE_QPOS])
 
 
 def test_blend_takes_a_traced_lambda(motion):
-    ours = jax.jit(blend)(in_jax(stretch(motion, 2)), in_jax(motion), jnp.float32(0.5))
+    ours = jax.jit(blend_motions)(in_jax(stretch(motion, 2)), in_jax(motion), jnp.float32(0.5))
     assert ours.qpos.dtype == jnp.float32
     np.testing.assert_allclose(ours.qpos[:, X], 1.5 * motion.qpos[:, X], atol=1e-6)
     np.testing.assert_allclose(ours.qpos[:, ROTATION], motion.qpos[:, ROTATION], atol=1e-6)
@@ -133,11 +126,11 @@ def test_blend_takes_a_traced_lambda(motion):
 
 def test_blend_of_strides_of_different_lengths():
     with pytest.raises(ValueError, match="Motions of 4 and 6 samples cannot be blended"):
-        blend(toy(4), toy(6), 0.5)
+        blend_motions(toy(4), toy(6), 0.5)
 
 
 def test_shipped_stride_is_the_papers(motion):
-    assert motion.qpos.shape == (22, robot.NQ), "about 0.7 s"
+    assert motion.qpos.shape == (22, cassie.NQ), "about 0.7 s"
     assert motion.stride_length == pytest.approx(0.5, abs=0.02)
     assert motion.qpos[0, X] == 0
     advance = np.diff(next_stride(motion)[0][:, X])
@@ -148,10 +141,10 @@ def test_shipped_stride_is_the_papers(motion):
 
 def test_shipped_stride_is_its_mirror_image_half_a_stride_on(motion):
     ahead, velocity_ahead = sample(motion, np.arange(22) + HALF, np.zeros(22, int))
-    image = robot.mirror_qpos(motion.qpos)
+    image = cassie.mirror_qpos(motion.qpos)
     image[:, X] += motion.stride_length / 2
     np.testing.assert_allclose(ahead, image, atol=1e-14)
-    np.testing.assert_array_equal(velocity_ahead, robot.mirror_qvel(motion.qvel))
+    np.testing.assert_array_equal(velocity_ahead, cassie.mirror_qvel(motion.qvel))
 
 
 def test_shipped_stride_keeps_the_mechanism_closed(model, motion):
@@ -186,7 +179,7 @@ def test_the_reference_angles_alone_fall(model, motion):
     state = physics.init(*sample(motion, phase, none))
     up, seconds = np.ones(22, bool), np.zeros(22)
     for step in range(1, 64):
-        target = sample(motion, phase + step, none)[0][:, robot.ACTIVE_QPOS]
+        target = sample(motion, phase + step, none)[0][:, cassie.ACTIVE_QPOS]
         state = physics.advance(state, target, Disturbance.none(22), 64)
         up &= (state.qpos[:, Z] > 0.6) & (state.qpos[:, Z] < 1.2)
         seconds += 0.032 * up
@@ -199,8 +192,8 @@ def spoiled(motion):
     """The stride as a walker might leave it: turned by 0.3 rad, beside the origin, with drift in joints and height."""
     qpos, qvel = next_stride(motion)
     share = np.linspace(-0.5, 0.5, 23)[:, None]
-    drift = np.zeros(robot.NQ)
-    drift[[Z, *robot.qpos_index("left-hip-pitch", "right-knee")]] = [0.002, 0.003, -0.004]
+    drift = np.zeros(cassie.NQ)
+    drift[[Z, *cassie.qpos_index("left-hip-pitch", "right-knee")]] = [0.002, 0.003, -0.004]
     qpos = qpos + share * drift
     cos, sin = np.cos(0.3), np.sin(0.3)
     turn = np.array([[cos, -sin], [sin, cos]])
@@ -214,7 +207,7 @@ def spoiled(motion):
 def test_make_periodic_finds_the_stride_again(model, motion):
     mended = make_periodic(*spoiled(motion), model)
     assert mended.stride_length == pytest.approx(motion.stride_length, abs=1e-9)
-    active_and_pelvis = np.r_[:7, robot.ACTIVE_QPOS]
+    active_and_pelvis = np.r_[:7, cassie.ACTIVE_QPOS]
     np.testing.assert_allclose(mended.qpos[:, active_and_pelvis], motion.qpos[:, active_and_pelvis], atol=1e-7)
     assert loop_error(model, mended.qpos).max() < 1e-9
 
@@ -222,16 +215,16 @@ def test_make_periodic_finds_the_stride_again(model, motion):
 def test_make_periodic_is_symmetric_whatever_it_gets(model, motion):
     qpos, qvel = spoiled(motion)
     rng = np.random.default_rng(0)
-    qpos[:, robot.ACTIVE_QPOS] += rng.normal(0, 0.01, (23, 10))
+    qpos[:, cassie.ACTIVE_QPOS] += rng.normal(0, 0.01, (23, 10))
     qvel += rng.normal(0, 0.1, qvel.shape)
-    roll = robot.qpos_index("left-hip-roll")[0]
+    roll = cassie.qpos_index("left-hip-roll")[0]
     qpos[[4, 4 + HALF], roll] = 2.0
     mended = make_periodic(qpos, qvel, model)
     assert mended.qpos[:, roll].max() == model.joint("left-hip-roll").range[1], "clipped to the limit"
-    image = robot.mirror_qpos(mended.qpos[:HALF])
+    image = cassie.mirror_qpos(mended.qpos[:HALF])
     image[:, X] += mended.stride_length / 2
     np.testing.assert_allclose(mended.qpos[HALF:], image, atol=1e-14)
-    np.testing.assert_array_equal(mended.qvel[HALF:], robot.mirror_qvel(mended.qvel[:HALF]))
+    np.testing.assert_array_equal(mended.qvel[HALF:], cassie.mirror_qvel(mended.qvel[:HALF]))
     assert loop_error(model, mended.qpos).max() < 1e-9
 
 

@@ -7,26 +7,27 @@ import jax
 import numpy as np
 import pytest
 
-from cassie_mjx import robot
-from cassie_mjx.reference import ReferenceMotion, load, load_trajectory, resolve, sample, save, shipped_path
+from cassie_mjx.motion.files import load_motion, read_motion, read_trajectory, save_motion, shipped_path
+from cassie_mjx.motion.reference import ReferenceMotion, sample
+from cassie_mjx.robot import cassie
 
-X, Z = robot.qpos_index("pelvis")[[0, 2]]
-ROTATION = robot.qpos_index("pelvis")[3:]
-ACHILLES = [robot.qpos_index(f"{side}-achilles-rod") for side in robot.SIDES]
+X, Z = cassie.qpos_index("pelvis")[[0, 2]]
+ROTATION = cassie.qpos_index("pelvis")[3:]
+ACHILLES = [cassie.qpos_index(f"{side}-achilles-rod") for side in cassie.SIDES]
 
 
 @pytest.fixture(scope="module")
 def motion():
-    return resolve("walk")
+    return load_motion("walk")
 
 
 def test_save_and_load_round_trip(tmp_path, motion):
-    save(tmp_path / "motion.npz", motion, {"seed": 3, "command": "none"})
-    found, provenance = load(tmp_path / "motion.npz")
+    save_motion(tmp_path / "motion.npz", motion, {"seed": 3, "command": "none"})
+    found, provenance = read_motion(tmp_path / "motion.npz")
     assert provenance == {"seed": 3, "command": "none"}
     for ours, wanted in zip(jax.tree.leaves(found), jax.tree.leaves(motion), strict=True):
         np.testing.assert_array_equal(ours, wanted)
-    assert resolve(str(tmp_path / "motion.npz")).stride_length == motion.stride_length
+    assert load_motion(str(tmp_path / "motion.npz")).stride_length == motion.stride_length
     assert [path.name for path in tmp_path.iterdir()] == ["motion.npz"]
 
 
@@ -50,36 +51,36 @@ def spoil(motion, **changes):
             "no motion of Cassie: row 7 has a pelvis quaternion of norm 1.8",
         ),
         (lambda m: spoil(m, qpos=((2, Z), 0.2)), r"the pelvis goes from 0.2 to 0.97\d m"),
-        (lambda m: spoil(m, qpos=((5, robot.qpos_index("left-knee")), 1.0)), "row 5 has left-knee at 1 rad, limits"),
+        (lambda m: spoil(m, qpos=((5, cassie.qpos_index("left-knee")), 1.0)), "row 5 has left-knee at 1 rad, limits"),
     ],
 )
 def test_a_saved_motion_that_is_none(tmp_path, motion, change, sentence):
-    save(tmp_path / "bad.npz", change(motion), {})
+    save_motion(tmp_path / "bad.npz", change(motion), {})
     with pytest.raises(ValueError, match=f"bad.npz.*{sentence}"):
-        load(tmp_path / "bad.npz")
+        read_motion(tmp_path / "bad.npz")
 
 
 def test_a_file_of_another_kind(tmp_path, motion):
     path = tmp_path / "bad.npz"
     with pytest.raises(ValueError, match=r"bad.npz cannot be read: .*No such file"):
-        load(path)
+        read_motion(path)
     path.write_bytes(shipped_path("walk").read_bytes()[:3000])
     with pytest.raises(ValueError, match=r"bad.npz cannot be read"):
-        load(path)
+        read_motion(path)
     np.savez(path, qpos=motion.qpos)
     with pytest.raises(ValueError, match=r"bad.npz cannot be read: it is not a cassie-mjx reference motion"):
-        load(path)
+        read_motion(path)
     content: dict[str, Any] = dict(np.load(shipped_path("walk")))
     content["version"] = 9
     np.savez(path, **content)
     with pytest.raises(ValueError, match=r"bad.npz has version 9 of the format; this program reads version 1"):
-        load(path)
+        read_motion(path)
     content["qpos"] = np.array([{}])
     np.savez(path, **content)
     with pytest.raises(ValueError, match=r"bad.npz cannot be read: .*allow_pickle"):
-        load(path)
+        read_motion(path)
     with pytest.raises(ValueError, match="reference='wlak' is neither walk nor a file"):
-        resolve("wlak")
+        load_motion("wlak")
 
 
 def trajectory(motion, duration):
@@ -103,14 +104,14 @@ def write_trajectory(path, rows):
 
 def test_trajectory_file_round_trip(tmp_path, motion):
     path = write_trajectory(tmp_path / "stride.bin", trajectory(motion, 0.704))
-    found = resolve(str(path))
+    found = load_motion(str(path))
     for ours, wanted in zip(jax.tree.leaves(found), jax.tree.leaves(motion), strict=True):
         np.testing.assert_allclose(ours, wanted, atol=1e-9)
 
 
 def test_trajectory_of_the_published_duration_becomes_26_samples(tmp_path, motion):
-    found = load_trajectory(write_trajectory(tmp_path / "stride.bin", trajectory(motion, 0.84)))
-    assert found.qpos.shape == (26, robot.NQ)
+    found = read_trajectory(write_trajectory(tmp_path / "stride.bin", trajectory(motion, 0.84)))
+    assert found.qpos.shape == (26, cassie.NQ)
     assert found.stride_length == pytest.approx(motion.stride_length)
     np.testing.assert_allclose(found.qpos[13], motion.qpos[11], atol=1e-9)
     np.testing.assert_allclose(found.qvel[13], motion.qvel[11] * 0.84 / 0.832, atol=1e-9)
@@ -128,7 +129,7 @@ def test_trajectory_of_the_published_duration_becomes_26_samples(tmp_path, motio
         (lambda rows: np.where(np.arange(98) == 9, np.nan, rows), "qpos has values that are not finite numbers"),
         (lambda rows: np.roll(rows, 1, axis=1), r"no motion of Cassie: row \d+ has a pelvis quaternion of norm"),
         (lambda rows: rows + 0.4 * (np.arange(98) == 1 + Z), "the pelvis goes from 1.37 to 1.38 m"),
-        (lambda rows: rows + 3 * (np.arange(98) == 1 + robot.ACTIVE_QPOS[4]), "left-foot at 1.5.* rad, limits"),
+        (lambda rows: rows + 3 * (np.arange(98) == 1 + cassie.ACTIVE_QPOS[4]), "left-foot at 1.5.* rad, limits"),
         (lambda rows: rows * (np.arange(98) > 0), "time, must rise with each row"),
         (lambda rows: np.where(np.arange(98) == 0, rows * 1e9, rows), "by 0.064 to 10 s in all"),
         (lambda rows: np.vstack([rows[:-1], np.where(np.arange(98) == 0, np.inf, rows[-1])]), "by 0.064 to 10 s in"),
@@ -138,4 +139,4 @@ def test_trajectory_of_the_published_duration_becomes_26_samples(tmp_path, motio
 def test_a_trajectory_file_that_is_none(tmp_path, motion, change, sentence):
     path = write_trajectory(tmp_path / "bad.bin", change(trajectory(motion, 0.704)))
     with pytest.raises(ValueError, match=f"bad.bin.*({sentence})"):
-        load_trajectory(path)
+        read_trajectory(path)

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from subject import Swaying
 
-from cassie_mjx import cli, render, subjects
-from cassie_mjx.film import Shot
+from cassie_mjx import cli, render
+from cassie_mjx.agents import make
+from cassie_mjx.evaluation.film import Shot
 from cassie_mjx.render import RenderConfig
 
 WIDTH, HEIGHT = 192, 128
@@ -150,7 +151,7 @@ def test_an_encoder_that_fails_is_noticed(tmp_path, monkeypatch):
 @pytest.mark.parametrize(("hold", "end"), [(1.0, "swaying stayed up"), (0.0, "swaying fell after 0.")])
 def test_the_command_says_how_it_went(drawing, tmp_path, monkeypatch, capsys, hold, end):
     asked = []
-    monkeypatch.setattr(subjects, "resolve", lambda *names: asked.append(names) or Swaying(hold=hold))
+    monkeypatch.setattr(make, "make_agent", lambda *names: asked.append(names) or Swaying(hold=hold))
     out = tmp_path / "a.gif"
     arguments = [f"out={out}", "width=32", "height=32", "fps=10", "seconds=0.8", "push=20,0", "push_at=0.1"]
     render.main(cli.parse(RenderConfig, ["policy=blend:1x,2x", "schedule=ramp", *arguments]))

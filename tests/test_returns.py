@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cassie_mjx import reference
 from cassie_mjx.envs.walk import WalkConfig
+from cassie_mjx.evaluation.returns import STARTS, referee, walk_returns
+from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.types import Disturbance
-from cassie_mjx.returns import STARTS, referee, walk_returns
 
 
 class Scripted:
@@ -75,7 +75,7 @@ def test_early_ends_are_refused():
 
 
 def test_the_referee_is_mujoco_c_at_2_khz_and_a_limp_robot_falls_there():
-    env = referee(reference.resolve("walk"))
+    env = referee(load_motion("walk"))
     assert env.physics.model.opt.timestep == 1 / 2000
     assert (env.robots, env.config.episode_steps, env.config.ends_early) == (STARTS, 300, False)
     returns = walk_returns(lambda seen: np.full((len(seen), 10), [0, 0, 1, 1, 1] * 2), env)

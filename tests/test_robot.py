@@ -5,47 +5,47 @@ import mujoco
 import numpy as np
 import pytest
 
-from cassie_mjx import robot
+from cassie_mjx.robot import cassie
 
 
 def test_indices_are_those_of_the_model(model):
-    for i, (name, nq, nv) in enumerate(robot.JOINTS):
+    for i, (name, nq, nv) in enumerate(cassie.JOINTS):
         joint = model.joint(i)
         assert joint.name == name
-        np.testing.assert_array_equal(robot.qpos_index(name), joint.qposadr[0] + np.arange(nq))
-        np.testing.assert_array_equal(robot.qvel_index(name), joint.dofadr[0] + np.arange(nv))
-    for name in robot.BODIES:
-        assert robot.body_index(name)[0] == model.body(name).id
+        np.testing.assert_array_equal(cassie.qpos_index(name), joint.qposadr[0] + np.arange(nq))
+        np.testing.assert_array_equal(cassie.qvel_index(name), joint.dofadr[0] + np.arange(nv))
+    for name in cassie.BODIES:
+        assert cassie.body_index(name)[0] == model.body(name).id
 
 
 def test_an_unknown_name_lists_the_known_ones():
     with pytest.raises(ValueError, match="no joint named left-ankle; it has pelvis, left-hip-roll"):
-        robot.qpos_index("left-ankle")
+        cassie.qpos_index("left-ankle")
     with pytest.raises(ValueError, match="no body named tail"):
-        robot.body_index("tail")
+        cassie.body_index("tail")
 
 
 def test_mirror_is_the_mirror_image(model, standing_qpos):
     """Each body of the mirrored state lies and moves where the other side's body did, reflected in y = 0."""
     rng = np.random.default_rng(0)
-    qpos, qvel = standing_qpos.copy(), rng.normal(size=robot.NV)
-    mujoco.mj_integratePos(model, qpos, rng.normal(size=robot.NV) * 0.2, 1.0)
+    qpos, qvel = standing_qpos.copy(), rng.normal(size=cassie.NV)
+    mujoco.mj_integratePos(model, qpos, rng.normal(size=cassie.NV) * 0.2, 1.0)
     here, there = mujoco.MjData(model), mujoco.MjData(model)
     here.qpos[:], here.qvel[:] = qpos, qvel
-    there.qpos[:], there.qvel[:] = robot.mirror_qpos(qpos), robot.mirror_qvel(qvel)
+    there.qpos[:], there.qvel[:] = cassie.mirror_qpos(qpos), cassie.mirror_qvel(qvel)
     mujoco.mj_forward(model, here)
     mujoco.mj_forward(model, there)
-    for name in robot.BODIES[1:]:
+    for name in cassie.BODIES[1:]:
         other = name.replace("left", "RIGHT").replace("right", "left").replace("RIGHT", "right")
-        a, b = robot.body_index(name, other)
+        a, b = cassie.body_index(name, other)
         np.testing.assert_allclose(there.xpos[b], here.xpos[a] * [1, -1, 1], atol=1e-6)
         velocity = np.zeros((2, 6))
         mujoco.mj_objectVelocity(model, here, mujoco.mjtObj.mjOBJ_XBODY, a, velocity[0], 0)
         mujoco.mj_objectVelocity(model, there, mujoco.mjtObj.mjOBJ_XBODY, b, velocity[1], 0)
         np.testing.assert_allclose(velocity[1], velocity[0] * [-1, 1, -1, 1, -1, 1], atol=1e-5)
-    np.testing.assert_array_equal(robot.mirror_qpos(robot.mirror_qpos(qpos)), qpos)
+    np.testing.assert_array_equal(cassie.mirror_qpos(cassie.mirror_qpos(qpos)), qpos)
     np.testing.assert_array_equal(
-        robot.mirror_active(qpos[robot.ACTIVE_QPOS]), robot.mirror_qpos(qpos)[robot.ACTIVE_QPOS]
+        cassie.mirror_active(qpos[cassie.ACTIVE_QPOS]), cassie.mirror_qpos(qpos)[cassie.ACTIVE_QPOS]
     )
 
 
@@ -55,19 +55,19 @@ def test_pd_torque_by_hand():
     qdot[2:5] = [1.0, 10.0, -20.0]
     # 100*0.5; 100*2 = 200 over 112.5; -8*1; 96*1 - 9.6*10; -5*-20 = 100 over 45
     expected = [50.0, 112.5, -8.0, 0.0, 45.0, 0, 0, 0, 0, 0]
-    np.testing.assert_allclose(robot.pd_torque(target, q, qdot), expected)
-    np.testing.assert_allclose(robot.pd_torque(jnp.array(target), jnp.array(q), jnp.array(qdot)), expected, rtol=1e-6)
+    np.testing.assert_allclose(cassie.pd_torque(target, q, qdot), expected)
+    np.testing.assert_allclose(cassie.pd_torque(jnp.array(target), jnp.array(q), jnp.array(qdot)), expected, rtol=1e-6)
 
 
 def test_pd_torque_with_less_damping():
     target, qdot = np.full(10, 0.1), np.tile([0.0, 0.0, 0.0, 1.0, -2.0], 2)
     # 96*0.1 - 0.25*9.6*1; 50*0.1 + 0.25*5*2
-    torque = robot.pd_torque(target, np.zeros(10), qdot, damping=0.25)
+    torque = cassie.pd_torque(target, np.zeros(10), qdot, damping=0.25)
     np.testing.assert_allclose(torque, [10, 10, 8.8, 7.2, 7.5] * 2)
 
 
 def test_torque_as_target_undoes_the_pd_law():
     rng = np.random.default_rng(2)
-    torque = rng.uniform(-0.9, 0.9, 10) * robot.TORQUE_LIMIT
+    torque = rng.uniform(-0.9, 0.9, 10) * cassie.TORQUE_LIMIT
     q, qdot = rng.normal(size=(2, 10))
-    np.testing.assert_allclose(robot.pd_torque(robot.torque_as_target(torque, q, qdot), q, qdot), torque, atol=1e-10)
+    np.testing.assert_allclose(cassie.pd_torque(cassie.torque_as_target(torque, q, qdot), q, qdot), torque, atol=1e-10)

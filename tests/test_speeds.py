@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cassie_mjx import export, reference
-from cassie_mjx.numpy_policy import NumpyPolicy
+from cassie_mjx.agents.numpy_policy import NumpyPolicy
+from cassie_mjx.agents.policy_file import shipped_policies
+from cassie_mjx.motion.files import load_motion
 from experiments import interpolation, learning, speeds
 from experiments.interpolation import InterpolationConfig, Ride, draw
 from experiments.speeds import SpeedsConfig, follow, profile
@@ -49,7 +50,7 @@ STOOD = Ride.of([0.0] * 6, [np.zeros(2)] * 6, np.array([False, False]), stride=4
 
 
 def test_the_file_says_which_policies_kept_their_speeds(tmp_path, monkeypatch):
-    shipped = export.shipped_policies()["1x"]
+    shipped = shipped_policies()["1x"]
     free = str(shutil.copy(shipped, tmp_path / "any.npz"))
     monkeypatch.setattr(speeds, "keep", lambda policy: [{"quantity": "speed_mps", "value": 1}])
     monkeypatch.setattr(speeds, "follow", lambda policy, factors: STOOD)
@@ -74,7 +75,7 @@ def test_the_policies_of_training_runs_are_measured_under_name_and_seed(tmp_path
     for seed in (0, 4):
         run = tmp_path / f"1x-seed{seed}"
         run.mkdir()
-        shutil.copy(export.shipped_policies()["1x"], run / "best.npz")
+        shutil.copy(shipped_policies()["1x"], run / "best.npz")
         held = learning.expected(learning.DEFAULT, seed, tmp_path)
         (run / "checkpoints" / f"step_{held['ppo.iterations']:06}").mkdir(parents=True)
         (run / "config.json").write_text(json.dumps({"config": held}))
@@ -114,7 +115,7 @@ def test_the_file_says_which_policies_were_blended(tmp_path, monkeypatch):
     assert plot.read_bytes().startswith(b"\x89PNG")
     content = json.loads((tmp_path / "a.json").read_text())
     assert list(content["rides"]) == ["blend:1x,1x schedule=ramp", "blend:1x,1x,1x,1x,1x schedule=ramp"]
-    policy = NumpyPolicy.load(export.shipped_policies()["1x"])
+    policy = NumpyPolicy.load(shipped_policies()["1x"])
     assert content["provenance"]["subject"] == {"1x": policy.provenance}
 
 
@@ -133,7 +134,7 @@ class Standing:
     """A policy that asks for the reference angles alone, and keeps what it was shown."""
 
     def __init__(self):
-        self.motion, self.damping, self.seen = reference.resolve("walk"), 1.0, []
+        self.motion, self.damping, self.seen = load_motion("walk"), 1.0, []
 
     def mode(self, observation):
         self.seen.append(np.asarray(observation))

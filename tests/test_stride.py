@@ -5,17 +5,18 @@ import json
 import numpy as np
 import pytest
 
-from cassie_mjx import robot, subjects
-from cassie_mjx.reference import resolve
+from cassie_mjx.agents.make import make_agent
+from cassie_mjx.motion.files import load_motion
+from cassie_mjx.robot import cassie
 from experiments import stride
 from experiments.stride import StrideConfig, beside, joint_angles, placements
 
 
 def test_joint_angles_go_by_side_and_name():
-    qpos = np.zeros((2, robot.NQ))
-    qpos[1, robot.qpos_index("right-knee")] = -1.2
+    qpos = np.zeros((2, cassie.NQ))
+    qpos[1, cassie.qpos_index("right-knee")] = -1.2
     angles = joint_angles(qpos)
-    assert list(angles) == list(robot.ACTIVE)
+    assert list(angles) == list(cassie.ACTIVE)
     assert angles["knee"] == {"left": [0, 0], "right": [0, -1.2]}
 
 
@@ -34,7 +35,7 @@ def test_a_heel_on_the_floor_is_a_foot_on_the_floor():
 
 
 def test_the_reference_goes_on_from_stride_to_stride():
-    motion = resolve("walk")
+    motion = load_motion("walk")
     x = stride.reference(motion, 3 * len(motion.qpos))[:, 0]
     np.testing.assert_allclose(x[:: len(motion.qpos)] - x[0], motion.stride_length * np.arange(4), rtol=1e-6)
 
@@ -50,7 +51,7 @@ def test_the_file_says_which_policy_walked(tmp_path, monkeypatch):
     content = json.loads((tmp_path / "a.json").read_text())
     assert {row["subject"] for row in content["rows"]} == {"1x"}
     assert content["provenance"]["policy"] == "1x"
-    assert content["provenance"]["subject"] == subjects.resolve("1x").provenance
+    assert content["provenance"]["subject"] == make_agent("1x").provenance
 
 
 def test_a_controller_has_no_reference(tmp_path):

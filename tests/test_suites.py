@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from points import Still, never, points
 
-from cassie_mjx import suites, trials
-from cassie_mjx.envs.disturbance import PUSH_S
-from cassie_mjx.subjects import resolve
-from cassie_mjx.suites import Setting
-from cassie_mjx.sweeps import fly
-from cassie_mjx.trials import Measured, Trial
+from cassie_mjx.agents.make import make_agent
+from cassie_mjx.envs.scenario import PUSH_S
+from cassie_mjx.evaluation import suites
+from cassie_mjx.evaluation import trial as trials
+from cassie_mjx.evaluation.scheduler import fly
+from cassie_mjx.evaluation.suites import Setting
+from cassie_mjx.evaluation.trial import Measured, Trial
 
 
 class Settled(Setting):
@@ -165,7 +166,7 @@ def test_walking_figures_take_the_worst_survival():
 
 def test_mjx_gives_the_verdicts_of_mujoco_c():
     """Where they are clear: undisturbed, a light and a hopeless push, delays of 1 and 20 ms."""
-    subject = resolve("1x")
+    subject = make_agent("1x")
     cells = [
         Trial(0, 1.6),
         Trial(1, 1.6, push=(0.0, 20.0)),

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from points import Still, points
 
-from cassie_mjx.subjects import resolve
-from cassie_mjx.suites import Setting
+from cassie_mjx.agents.make import make_agent
+from cassie_mjx.evaluation.suites import Setting
 from experiments import survival
 from experiments.survival import SurvivalConfig, main, rows
 
@@ -39,7 +39,7 @@ def test_levels_from_none_on_are_walked(monkeypatch, tmp_path):
     content = json.loads((tmp_path / "a.json").read_text())
     found, provenance = content["rows"], content["provenance"]
     assert provenance["speed"] == "1.1x"
-    assert provenance["subject"] == resolve("1x").provenance
+    assert provenance["subject"] == make_agent("1x").provenance
     assert {row["subject"] for row in found} == {"1x speed=1.1x"}
     assert [(row["quantity"], row["level"], row["level_unit"], row["n"]) for row in found] == [
         *(("terrain_survived", level, "m", 1) for level in (0.0, 0.4)),

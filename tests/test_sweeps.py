@@ -8,12 +8,13 @@ import pytest
 from points import Still, compiled_points, points
 from subject import Swaying
 
-from cassie_mjx import flight, robot
-from cassie_mjx.flight import motor_effort
+from cassie_mjx.evaluation import simulate
+from cassie_mjx.evaluation.scheduler import LimitSearch, conduct, fly
+from cassie_mjx.evaluation.simulate import motor_effort
+from cassie_mjx.evaluation.trial import Trial, Walker, carried, disturbances, fallen, placed
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance, PhysicsState, namespace
-from cassie_mjx.sweeps import LimitSearch, conduct, fly
-from cassie_mjx.trials import Trial, Walker, carried, disturbances, fallen, placed
+from cassie_mjx.robot import cassie
 
 CONTROL_STEPS_OF_10_S = 313
 ENGINES = pytest.mark.parametrize("engine", [points, compiled_points])
@@ -124,10 +125,10 @@ def test_a_push_lasts_a_fifth_of_a_second_in_the_heading_frame(hertz):
 
 def test_pushed_robots_are_pushed_for_400_steps_of_mujoco(model, standing_qpos):
     physics = NativePhysics(model)
-    state = physics.init(standing_qpos[None], np.zeros((1, robot.NV)))
+    state = physics.init(standing_qpos[None], np.zeros((1, cassie.NV)))
     disturbance = disturbances([Trial(0, 1.0, push=(50.0, 0.0))], state, 400)
     shorter = replace(disturbance, push_stop=disturbance.push_stop - 1)
-    targets = robot.STANDING_TARGET[None]
+    targets = cassie.STANDING_TARGET[None]
     before = physics.advance(state, targets, disturbance, 399)
     np.testing.assert_array_equal(before.qvel, physics.advance(state, targets, shorter, 399).qvel)
     at_400, after = (physics.advance(state, targets, disturbance, n) for n in (400, 401))
@@ -137,7 +138,7 @@ def test_pushed_robots_are_pushed_for_400_steps_of_mujoco(model, standing_qpos):
 
 
 def test_a_fall_is_judged_over_the_ground_below():
-    qpos = np.zeros((6, robot.NQ))
+    qpos = np.zeros((6, cassie.NQ))
     x = np.array([0.0, np.pi / 2, np.pi / 2, -np.pi / 2, -np.pi / 2, 0.0])
     qpos[:, 0], qpos[:, 2] = x, [0.7, 0.7, 0.9, 0.5, 0.95, np.nan]
     # Over crest and trough of h = 0.2 the heights are 0.7, 0.5, 0.7, 0.7, 1.15 and nothing.
@@ -170,8 +171,8 @@ def test_a_fall_ends_the_walk_at_its_control_step(engine):
 
 
 def test_only_work_done_counts_as_power():
-    qpos, qvel = np.zeros((1, robot.NQ)), np.zeros((1, robot.NV))
-    qvel[0, robot.ACTIVE_QVEL[:2]] = (2.0, -3.0)
+    qpos, qvel = np.zeros((1, cassie.NQ)), np.zeros((1, cassie.NV))
+    qvel[0, cassie.ACTIVE_QVEL[:2]] = (2.0, -3.0)
     # P target - D qdot: 100 x 0.3 - 10 x 2 = 10 N·m at 2 rad/s; 100 x 0 + 10 x 3 = 30 N·m against -3 rad/s.
     target = np.array([[0.3] + [0.0] * 9])
     state = PhysicsState(qpos, qvel, qvel, np.zeros(1, np.int32), np.zeros((1, 0, 67)))
@@ -184,12 +185,12 @@ def test_effort_is_a_mean_over_time(engine):
         """Asks for 0.5 rad and 0 rad of the first joint in turn: 50 N·m and none."""
 
         def act(self, physics, seen, memory):
-            target = 0.5 * (memory % 2 == 0)[:, None] * (np.arange(robot.NU) == 0)
+            target = 0.5 * (memory % 2 == 0)[:, None] * (np.arange(cassie.NU) == 0)
             return target, memory + 1
 
     physics = engine()
     starts = Pushing().start(physics, np.zeros(1))
-    starts.physics.qvel[0, robot.ACTIVE_QVEL[0]] = 0.01
+    starts.physics.qvel[0, cassie.ACTIVE_QVEL[0]] = 0.01
     result = fly(Pushing(), physics, starts, [Trial(0, 0.064), Trial(0, 0.032)])
     # Less 0.1 N·m by damping; at 0.01 rad/s. Half of the time the motor brakes.
     np.testing.assert_allclose(result.torque_nm, [(49.9 + 0.1) / 2 / 10, 49.9 / 10], rtol=1e-5)
@@ -209,14 +210,14 @@ def test_subjects_see_the_state_of_a_delay_ago(model, standing_qpos):
     class Standing(Still):
         def act(self, physics, seen, memory):
             self.seen = seen.qpos
-            return np.tile(robot.STANDING_TARGET, (len(memory), 1)), memory
+            return np.tile(cassie.STANDING_TARGET, (len(memory), 1)), memory
 
     physics, subject = NativePhysics(model, max_delay=20), Standing()
-    state = physics.init(np.tile(standing_qpos, (2, 1)), np.full((2, robot.NV), 0.05))
+    state = physics.init(np.tile(standing_qpos, (2, 1)), np.full((2, cassie.NV), 0.05))
     fly(subject, physics, Walker(state, np.zeros(2)), [Trial(0, 0.064, delay=20), Trial(1, 0.064)])
     delay = replace(Disturbance.none(2), delay=np.array([20, 0], np.int32))
-    at_44 = physics.advance(state, np.tile(robot.STANDING_TARGET, (2, 1)), delay, 44)
-    at_64 = physics.advance(at_44, np.tile(robot.STANDING_TARGET, (2, 1)), delay, 20)
+    at_44 = physics.advance(state, np.tile(cassie.STANDING_TARGET, (2, 1)), delay, 44)
+    at_64 = physics.advance(at_44, np.tile(cassie.STANDING_TARGET, (2, 1)), delay, 20)
     np.testing.assert_array_equal(subject.seen, [at_44.qpos[0], at_64.qpos[1]])
     moved = carried(subject, Walker(at_64, np.zeros(2)), np.array([[1.0, 2.0, 3.0], [0, 0, 0]]))
     np.testing.assert_allclose(moved.physics.history[0, :, :3] - at_64.history[0, :, :3], np.tile([1, 2, 3], (21, 1)))
@@ -225,7 +226,7 @@ def test_subjects_see_the_state_of_a_delay_ago(model, standing_qpos):
 
 def test_effort_is_that_of_the_subjects_own_pd_law(model, monkeypatch):
     seen = []
-    monkeypatch.setattr(flight, "motor_effort", lambda *given: seen.append(given[3]) or motor_effort(*given))
+    monkeypatch.setattr(simulate, "motor_effort", lambda *given: seen.append(given[3]) or motor_effort(*given))
     subject, physics = Swaying(damping=0.3), NativePhysics(model, damping=0.3)
     fly(subject, physics, subject.start(physics, np.zeros(1)), [Trial(0, 0.032)])
     assert set(seen) == {0.3}

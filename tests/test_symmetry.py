@@ -10,35 +10,37 @@ import numpy as np
 import pytest
 from tiny import TINY, session
 
-from cassie_mjx import reference, robot
-from cassie_mjx.config import PPOConfig
-from cassie_mjx.envs import observation
+from cassie_mjx.agents.make import make_agent
+from cassie_mjx.agents.numpy_policy import Mirror, NumpyPolicy
+from cassie_mjx.agents.policy_file import learner_policy, save_policy
+from cassie_mjx.control import observation
 from cassie_mjx.envs.walk import WalkConfig, WalkEnv
-from cassie_mjx.export import learner_policy, save_policy
-from cassie_mjx.model import MJX_TRAINING, ModelConfig, load, load_for_mjx
-from cassie_mjx.numpy_policy import Mirror, NumpyPolicy
+from cassie_mjx.evaluation.suites import Setting
+from cassie_mjx.motion.files import load_motion
+from cassie_mjx.motion.reference import stretch
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Disturbance
 from cassie_mjx.ppo import learner, networks
-from cassie_mjx.subjects import resolve
-from cassie_mjx.suites import Setting
+from cassie_mjx.ppo.config import PPOConfig
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_mjx_model, load_model
 
 
 @pytest.fixture(scope="module")
 def motion():
-    return reference.resolve("walk")
+    return load_motion("walk")
 
 
 @pytest.fixture(scope="module")
 def states():
     rng = np.random.default_rng(0)
-    return rng.normal(size=(2, 50, robot.NQ)), rng.normal(size=(2, 50, robot.NV))
+    return rng.normal(size=(2, 50, cassie.NQ)), rng.normal(size=(2, 50, cassie.NV))
 
 
 @pytest.fixture(scope="module")
 def policy():
-    return learner.init(jax.random.key(0), PPOConfig(actor_output_scale=1.0), observation.SIZE, robot.NU, 1).policy
+    return learner.init(jax.random.key(0), PPOConfig(actor_output_scale=1.0), observation.SIZE, cassie.NU, 1).policy
 
 
 @pytest.fixture
@@ -50,15 +52,15 @@ def path(policy, motion, tmp_path):
 def test_a_mirror_image_is_seen_as_the_reflection(states):
     (qpos, ahead), (qvel, ahead_velocity) = states
     seen = observation.build(qpos, qvel, ahead, ahead_velocity)
-    images = [robot.mirror_qpos(qpos), robot.mirror_qvel(qvel)]
-    images += [robot.mirror_qpos(ahead), robot.mirror_qvel(ahead_velocity)]
+    images = [cassie.mirror_qpos(qpos), cassie.mirror_qvel(qvel)]
+    images += [cassie.mirror_qpos(ahead), cassie.mirror_qvel(ahead_velocity)]
     np.testing.assert_array_equal(observation.mirror(seen), observation.build(*images))
     np.testing.assert_array_equal(observation.mirror(observation.mirror(seen)), seen)
 
 
 @pytest.mark.parametrize("speed", [0.0, 1.0, 4.0])
 def test_each_step_is_half_of_the_stride_at_any_speed(motion, speed):
-    hip_pitch = reference.stretch(motion, speed).qpos[:, observation.HIP_PITCH]
+    hip_pitch = stretch(motion, speed).qpos[:, observation.HIP_PITCH]
     second = observation.second_step(hip_pitch)[:, 0]
     half = len(second) // 2
     np.testing.assert_array_equal(second[:half], ~second[half:])
@@ -74,10 +76,10 @@ def test_images_act_as_images(policy, path, states):
     mode = partial(networks.mode, policy)
     for act in (observation.symmetric(mode), NumpyPolicy.load(path)):
         action, image = np.asarray(act(seen)), np.asarray(act(observation.mirror(seen)))
-        np.testing.assert_allclose(image, robot.mirror_active(action), atol=1e-5)
+        np.testing.assert_allclose(image, cassie.mirror_active(action), atol=1e-5)
         np.testing.assert_allclose(action[~second[:, 0]], mode(seen)[~second[:, 0]], atol=1e-5)
         assert np.abs(action - mode(seen))[second[:, 0]].max() > 0.1
-    assert NumpyPolicy.load(path)(seen[0]).shape == (robot.NU,)
+    assert NumpyPolicy.load(path)(seen[0]).shape == (cassie.NU,)
 
 
 def states_of(env, act, delay):
@@ -92,9 +94,9 @@ def states_of(env, act, delay):
 @pytest.mark.parametrize(("engine", "speeds"), [("native", (1.0, 1.0)), ("native", (0.0, 4.0)), ("mjx", (1.0, 1.0))])
 def test_a_policy_does_in_both_steps_what_it_learned_in_one(motion, policy, engine, speeds):
     if engine == "native":
-        physics, delay = NativePhysics(load(ModelConfig(physics_hz=500)), max_delay=3), 3
+        physics, delay = NativePhysics(load_model(ModelConfig(physics_hz=500)), max_delay=3), 3
     else:
-        physics, delay = MjxPhysics(load_for_mjx(replace(MJX_TRAINING, physics_hz=500))), 0
+        physics, delay = MjxPhysics(load_mjx_model(replace(MJX_TRAINING, physics_hz=500))), 0
     task, mode = WalkConfig(episode_steps=5), jax.jit(partial(networks.mode, policy))
     trained = WalkEnv(physics, motion, replace(task, symmetric=True), 22, speeds)
     deployed = WalkEnv(physics, motion, task, 22, speeds)
@@ -112,7 +114,7 @@ def test_a_policy_does_in_both_steps_what_it_learned_in_one(motion, policy, engi
 
 @pytest.mark.parametrize("symmetric", [True, False])
 def test_robots_half_a_stride_apart_live_the_same_step(motion, symmetric):
-    physics = NativePhysics(load(ModelConfig(physics_hz=500)))
+    physics = NativePhysics(load_model(ModelConfig(physics_hz=500)))
     env = WalkEnv(physics, motion, WalkConfig(symmetric=symmetric), 22)
     state = env.reset_at(np.arange(22), Disturbance.none(22))
     for number in range(10):
@@ -120,7 +122,7 @@ def test_robots_half_a_stride_apart_live_the_same_step(motion, symmetric):
         # The published pelvis is not quite symmetric: its centre of mass is 0.3 mm off the plane.
         close = np.allclose(seen[:11], seen[11:], atol=1e-6 if number == 0 else 0.2)
         assert close == symmetric
-        action = np.tile(0.1 * np.random.default_rng(number).normal(size=(11, robot.NU)), (2, 1))
+        action = np.tile(0.1 * np.random.default_rng(number).normal(size=(11, cassie.NU)), (2, 1))
         state = env.step(state, action, jax.random.key(number))
         assert not np.asarray(state.terminated).any()
     reward = np.asarray(state.metrics["weighted"])
@@ -130,7 +132,7 @@ def test_robots_half_a_stride_apart_live_the_same_step(motion, symmetric):
 def test_a_run_measures_what_its_policy_file_has(tmp_path):
     session(tmp_path, walk=WalkConfig(symmetric=True)).train()
     last = json.loads((tmp_path / "metrics.jsonl").read_text().splitlines()[-1])
-    subject = resolve(str(tmp_path))
+    subject = make_agent(str(tmp_path))
     figures = {figure.quantity: figure.value for figure in subject.returns(Setting().physics(subject))}
     assert NumpyPolicy.load(tmp_path / "best.npz").mirror
     assert figures["return_plain"] == pytest.approx(last["eval/return_plain"], rel=1e-5)

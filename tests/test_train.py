@@ -16,15 +16,20 @@ import pytest
 import tiny
 from rich.console import Console
 
-from cassie_mjx import checkpoint, hydra_cli, train
-from cassie_mjx.config import PPO_PRESETS, speed_factor, speed_factors
+from cassie_mjx import train
+from cassie_mjx.agents.numpy_policy import NumpyPolicy
+from cassie_mjx.agents.policy_file import save_policy
+from cassie_mjx.cli import hydra_line
+from cassie_mjx.control.command import speed_factor, speed_factors
 from cassie_mjx.envs.walk import WALK_PRESETS
-from cassie_mjx.metrics import Terminal
-from cassie_mjx.numpy_policy import NumpyPolicy
+from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.reference import resolve as resolve_motion
-from cassie_mjx.train import Session, TrainConfig
-from cassie_mjx.training import PRESETS, Trainer, resolve
+from cassie_mjx.ppo.config import PPO_PRESETS
+from cassie_mjx.training import checkpoint
+from cassie_mjx.training.config import PRESETS, TrainConfig, resolve_config
+from cassie_mjx.training.loggers import Terminal
+from cassie_mjx.training.runner import Session
+from cassie_mjx.training.trainer import Trainer
 
 TINY = replace(tiny.TINY, iterations=6)
 
@@ -100,7 +105,7 @@ def best_weights(folder):
 
 def test_a_run_that_died_between_checkpoints_goes_on_from_the_last(unbroken, tmp_path, monkeypatch):
     with monkeypatch.context() as patched:
-        patched.setattr("cassie_mjx.train.save_policy", die_at_the_second_evaluation())
+        patched.setattr("cassie_mjx.training.runner.save_policy", die_at_the_second_evaluation())
         with pytest.raises(RuntimeError):
             session(tmp_path).train()
     # The second line of metrics was written, the checkpoint that belongs to it was not.
@@ -111,7 +116,6 @@ def test_a_run_that_died_between_checkpoints_goes_on_from_the_last(unbroken, tmp
 
 
 def die_at_the_second_evaluation():
-    from cassie_mjx.train import save_policy
 
     def save(path, policy, motion, speed, damping, provenance, symmetric):
         if provenance["samples"] == 4 * TINY.num_samples:
@@ -252,12 +256,12 @@ def test_a_divergence_that_does_not_recur_is_looked_for_once(tmp_path, monkeypat
 
 
 def test_auto_takes_mjx_on_an_accelerator_alone(monkeypatch):
-    assert resolve(TrainConfig()).physics == "native"
-    assert resolve(TrainConfig()).run_dir == "runs/1x-seed0"
+    assert resolve_config(TrainConfig()).physics == "native"
+    assert resolve_config(TrainConfig()).run_dir == "runs/1x-seed0"
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert resolve(TrainConfig()).physics == "mjx"
-    assert resolve(TrainConfig()).physics_hz == 1000
-    assert resolve(TrainConfig(physics="native")).physics == "native"
+    assert resolve_config(TrainConfig()).physics == "mjx"
+    assert resolve_config(TrainConfig()).physics_hz == 1000
+    assert resolve_config(TrainConfig(physics="native")).physics == "native"
 
 
 @pytest.mark.slow
@@ -277,7 +281,7 @@ def test_an_iteration_on_mjx_is_one_compiled_call(tmp_path):
 def command(monkeypatch, main, *arguments):
     monkeypatch.setattr(sys, "argv", ["train", *arguments])
     monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
-    hydra_cli.run(main, TrainConfig, "train", PRESETS)
+    hydra_line.run(main, TrainConfig, "train", PRESETS)
 
 
 def configs(monkeypatch, tmp_path, *arguments):
@@ -392,7 +396,7 @@ def test_speeds():
 def test_a_policy_for_any_speed_is_saved_with_the_motion_as_recorded(tmp_path):
     session(tmp_path / "any", speed="any").train()
     session(tmp_path / "twice", speed="2x").train()
-    recorded = resolve_motion("walk")
+    recorded = load_motion("walk")
     for name, factor in (("any", 1), ("twice", 2)):
         saved = NumpyPolicy.load(tmp_path / name / "best.npz")
         assert saved.speed == factor

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cassie_mjx import cli
-from cassie_mjx.controller import COMPLIANT, CONTROLLERS, STIFF
+from cassie_mjx.heuristic.config import COMPLIANT, CONTROLLERS, STIFF
 from experiments.tune_controller import DEMANDS, Evaluator, TuneConfig, candidate, on_time, parameters, trials
 
 

@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 from subject import Swaying
 
-from cassie_mjx import cli, robot, subjects, view
-from cassie_mjx.film import film
-from cassie_mjx.trials import Trial
-from cassie_mjx.view import Live, ViewConfig
+from cassie_mjx import cli, view
+from cassie_mjx.agents import make
+from cassie_mjx.evaluation.film import film
+from cassie_mjx.evaluation.trial import Trial
+from cassie_mjx.evaluation.viewer import Live
+from cassie_mjx.robot import cassie
+from cassie_mjx.view import ViewConfig
 
 
 class _Window:
@@ -35,7 +38,7 @@ class _Window:
         self.syncs -= 1
         self.heights.append(self.live.data.qpos[2])
         self.times.append(self.live.data.time)
-        self.live.data.xfrc_applied[robot.PELVIS_BODY, 1] = self.push
+        self.live.data.xfrc_applied[cassie.PELVIS_BODY, 1] = self.push
 
 
 def window_of(live, syncs, push=0.0) -> Any:
@@ -110,12 +113,12 @@ def test_the_window_follows_the_pelvis_and_has_it_selected(monkeypatch, clock):
     monkeypatch.setattr(view, "check_screen", lambda: None)
     monkeypatch.setattr(view.mujoco.viewer, "launch_passive", launch)
     asked = []
-    monkeypatch.setattr(subjects, "resolve", lambda *names: asked.append(names) or Swaying())
+    monkeypatch.setattr(make, "make_agent", lambda *names: asked.append(names) or Swaying())
     view.main(ViewConfig(policy="any", speed="2.5x"))
     (window,) = opened
     assert asked == [("any", "2.5x", None)]
     assert window.cam.type == mujoco.mjtCamera.mjCAMERA_TRACKING
-    assert window.cam.trackbodyid == window.perturb.select == robot.PELVIS_BODY
+    assert window.cam.trackbodyid == window.perturb.select == cassie.PELVIS_BODY
     assert window.opt.flags[mujoco.mjtVisFlag.mjVIS_PERTFORCE]
     assert not window.is_running()
 

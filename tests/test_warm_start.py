@@ -10,12 +10,13 @@ import pytest
 from rich.console import Console
 from tiny import TINY, session
 
-from cassie_mjx import checkpoint
-from cassie_mjx.envs.disturbance import DisturbanceConfig
+from cassie_mjx.agents.numpy_policy import NumpyPolicy
+from cassie_mjx.envs.scenario import DisturbanceConfig
 from cassie_mjx.envs.walk import WalkConfig
-from cassie_mjx.numpy_policy import NumpyPolicy
 from cassie_mjx.ppo import networks
-from cassie_mjx.train import Session, TrainConfig
+from cassie_mjx.training import checkpoint
+from cassie_mjx.training.config import TrainConfig
+from cassie_mjx.training.runner import Session
 
 ALL = WalkConfig(disturbance=DisturbanceConfig(push_n=100, push_pause_s=0.1, terrain_m=0.1, delay_s=0.004))
 
@@ -88,7 +89,7 @@ def test_a_disturbed_run_resumes_exactly(tmp_path):
 
 def test_the_best_policy_is_that_of_the_highest_return_and_under_disturbances_the_last(tmp_path, monkeypatch):
     falling = ({"return_plain": 0.0, "return_weighted": value, "steps": 0.0} for value in (9.0, 8.0, 7.0, 6.0))
-    monkeypatch.setattr("cassie_mjx.train.walk_returns", lambda *_: next(falling))
+    monkeypatch.setattr("cassie_mjx.training.runner.walk_returns", lambda *_: next(falling))
     for name, walk in (("calm", WalkConfig()), ("rough", ALL)):
         session(tmp_path / name, walk=walk, evaluate_every=1).train()
     kept = [NumpyPolicy.load(tmp_path / name / "best.npz").provenance["return_weighted"] for name in ("calm", "rough")]

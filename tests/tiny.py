@@ -5,8 +5,9 @@ from dataclasses import replace
 
 from rich.console import Console
 
-from cassie_mjx.config import PPOConfig
-from cassie_mjx.train import Session, TrainConfig
+from cassie_mjx.ppo.config import PPOConfig
+from cassie_mjx.training.config import TrainConfig
+from cassie_mjx.training.runner import Session
 
 TINY = PPOConfig(
     num_robots=4,

@@ -12,9 +12,9 @@ from brax.io import mjcf
 
 from cassie_mjx.envs.types import WalkState
 from cassie_mjx.envs.walk import WalkConfig, WalkEnv
-from cassie_mjx.model import MJX_TRAINING, ModelConfig, load_for_mjx, steps_per_control, xml_path
+from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.mjx import MjxPhysics
-from cassie_mjx.reference import ReferenceMotion
+from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_mjx_model, steps_per_control, xml_path
 
 
 @jax.tree_util.register_dataclass
@@ -64,7 +64,7 @@ class CassieEnv(PipelineEnv):
         scene.opt.timestep = 1 / model.physics_hz
         super().__init__(mjcf.load_model(scene), backend="mjx", n_frames=steps_per_control(model.physics_hz))
         endless = replace(config or WalkConfig(), episode_steps=2**30)
-        physics = MjxPhysics(load_for_mjx(model), damping=endless.damping)
+        physics = MjxPhysics(load_mjx_model(model), damping=endless.damping)
         self._walk = WalkEnv(physics, motion, endless, robots=1)
 
     def reset(self, rng: jax.Array) -> State:

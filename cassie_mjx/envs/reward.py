@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cassie_mjx import robot
 from cassie_mjx.physics.types import Array
+from cassie_mjx.robot import cassie
 
 
 class Terms(NamedTuple):
@@ -33,7 +33,7 @@ class Scale(NamedTuple):
 
 
 SCALES = {
-    "plain": Scale(np.ones(robot.NU), 1.0),
+    "plain": Scale(np.ones(cassie.NU), 1.0),
     "weighted": Scale(30 * np.tile([0.15, 0.15, 0.1, 0.05, 0.05], 2), 1000.0),
 }
 WEIGHTS = (0.5, 0.3, 0.1, 0.1)
@@ -51,10 +51,10 @@ def terms(scale: Scale, qpos: Array, reference: Array) -> Terms:
     # r = exp(-sum of scaled squared errors)
     error = jnp.square(qpos - reference)
     return Terms(
-        joint=jnp.exp(-(error[..., robot.ACTIVE_QPOS] * scale.joint).sum(axis=-1)),
-        position=jnp.exp(-error[..., robot.PELVIS_POSITION].sum(axis=-1)),
-        orientation=jnp.exp(-error[..., robot.PELVIS_QUAT_VECTOR].sum(axis=-1)),
-        spring=jnp.exp(-scale.spring * error[..., robot.SHIN_QPOS].sum(axis=-1)),
+        joint=jnp.exp(-(error[..., cassie.ACTIVE_QPOS] * scale.joint).sum(axis=-1)),
+        position=jnp.exp(-error[..., cassie.PELVIS_POSITION].sum(axis=-1)),
+        orientation=jnp.exp(-error[..., cassie.PELVIS_QUAT_VECTOR].sum(axis=-1)),
+        spring=jnp.exp(-scale.spring * error[..., cassie.SHIN_QPOS].sum(axis=-1)),
     )
 
 

@@ -11,14 +11,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cassie_mjx import robot
-from cassie_mjx.envs import clock as clocks
-from cassie_mjx.envs import observation, reward
-from cassie_mjx.envs.disturbance import DisturbanceConfig, draw, renew
+from cassie_mjx.control import observation
+from cassie_mjx.envs import command as clocks
+from cassie_mjx.envs import reward
+from cassie_mjx.envs.scenario import DisturbanceConfig, draw, renew
 from cassie_mjx.envs.types import Clock, WalkState
-from cassie_mjx.model import CONTROL_PERIOD_S, steps_per_control
+from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.types import Array, Disturbance, Physics, PhysicsState, delayed, merge
-from cassie_mjx.reference import ReferenceMotion
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.model import CONTROL_PERIOD_S, steps_per_control
 
 
 @dataclass(frozen=True)
@@ -232,7 +233,7 @@ class WalkEnv:
         reference, _ = clocks.reference(self.motion, clock, ahead=1)
         if self.config.symmetric:
             action = observation.unfolded(action, reference[:, observation.HIP_PITCH])
-        return reference[:, robot.ACTIVE_QPOS] + action
+        return reference[:, cassie.ACTIVE_QPOS] + action
 
     def _draw(self, key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array, StartOffset]:
         """Phase [robots], speed [robots] and offset from the reference of new episodes.
@@ -284,7 +285,7 @@ class WalkEnv:
         rewards = {name: jnp.where(nan, 0.0, reward.total(values)) for name, values in terms.items()}
         earned = rewards[self.config.reward]
         height = walked[:, 2]
-        fallen = nan | (height < robot.FALL_LOW_M) | (height > robot.FALL_HIGH_M)
+        fallen = nan | (height < cassie.FALL_LOW_M) | (height > cassie.FALL_HIGH_M)
         lead = (walked - reference)[:, 0]
         privileged = jnp.clip(lead / LEAD_M, -10, 10)[:, None]
         low = jnp.zeros_like(nan) if self.config.early_end_reward is None else earned < self.config.early_end_reward

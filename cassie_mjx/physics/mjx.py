@@ -10,11 +10,6 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-# MJX announces on stdout that its optional Warp backend is not installed.
-with contextlib.redirect_stdout(io.StringIO()):
-    from mujoco import mjx
-
-from cassie_mjx import robot
 from cassie_mjx.physics.types import (
     Array,
     BodyState,
@@ -25,6 +20,11 @@ from cassie_mjx.physics.types import (
     check_start,
     delayed,
 )
+from cassie_mjx.robot import cassie
+
+# MJX announces on stdout that its optional Warp backend is not installed.
+with contextlib.redirect_stdout(io.StringIO()):
+    from mujoco import mjx
 
 
 class MjxPhysics:
@@ -74,8 +74,8 @@ class MjxPhysics:
 
         def substep(state: PhysicsState, _: None) -> tuple[PhysicsState, None]:
             qpos, qvel = delayed(state, disturbance)
-            q, qdot = qpos[:, robot.ACTIVE_QPOS], qvel[:, robot.ACTIVE_QVEL]
-            torque = robot.pd_torque(target, q, qdot, self.damping).astype(dtype)
+            q, qdot = qpos[:, cassie.ACTIVE_QPOS], qvel[:, cassie.ACTIVE_QVEL]
+            torque = cassie.pd_torque(target, q, qdot, self.damping).astype(dtype)
             pushed = (disturbance.push_start <= state.step) & (state.step < disturbance.push_stop)
             push = disturbance.push * pushed[:, None]
             moved = jax.vmap(self._step)(
@@ -118,8 +118,8 @@ class MjxPhysics:
         d = mjx.passive(m, d)
         d = mjx.rne(m, d)
         d = d.replace(
-            qfrc_actuator=jnp.zeros_like(d.qvel).at[robot.ACTIVE_QVEL].set(torque),
-            xfrc_applied=jnp.zeros_like(d.xfrc_applied).at[robot.PELVIS_BODY, :3].set(push),
+            qfrc_actuator=jnp.zeros_like(d.qvel).at[cassie.ACTIVE_QVEL].set(torque),
+            xfrc_applied=jnp.zeros_like(d.xfrc_applied).at[cassie.PELVIS_BODY, :3].set(push),
         )
         d = mjx.fwd_acceleration(m, d)
         return mjx.solve(m, d)
@@ -128,7 +128,7 @@ class MjxPhysics:
         def one(qpos: jax.Array, qvel: jax.Array) -> BodyState:
             d = mjx.make_data(self._mjx, self._device).replace(qpos=qpos, qvel=qvel)
             d = mjx.com_vel(self._mjx, mjx.com_pos(self._mjx, mjx.kinematics(self._mjx, d)))
-            return BodyState(d.xpos, d.xmat, d.xipos, d.ximat, d.cvel, d.subtree_com[robot.PELVIS_BODY])
+            return BodyState(d.xpos, d.xmat, d.xipos, d.ximat, d.cvel, d.subtree_com[cassie.PELVIS_BODY])
 
         return jax.vmap(one)(state.qpos, state.qvel)
 
@@ -158,7 +158,7 @@ class _LoopBias:
         """Subtract J̇v from the reference acceleration of the loops, the first rows of the constraints."""
         offset = jnp.einsum("...ij,...j->...i", d.xmat[self.bodies], self.anchors.astype(d.qpos.dtype))
         # Spatial quantities refer to the robot's centre of mass, c: r = p - c.
-        r = d.xpos[self.bodies] + offset - d.subtree_com[robot.PELVIS_BODY]
+        r = d.xpos[self.bodies] + offset - d.subtree_com[cassie.PELVIS_BODY]
         omega, v_c = jnp.split(d.cvel[self.bodies], 2, axis=-1)
         bias = jnp.einsum("slv,vk->slk", self.moves.astype(d.qpos.dtype), d.cdof_dot * d.qvel[:, None])
         alpha, a_c = jnp.split(bias, 2, axis=-1)
@@ -174,8 +174,8 @@ class _Floors:
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.geoms = np.array([model.geom(f"{part}-floor").id for part in ("left", "right", "pelvis")])
-        self.feet = robot.FOOT_BODIES
-        self.foot_centre = (robot.TOE + robot.HEEL) / 2
+        self.feet = cassie.FOOT_BODIES
+        self.foot_centre = (cassie.TOE + cassie.HEEL) / 2
 
     def place(self, d: mjx.Data, h: jax.Array) -> mjx.Data:
         feet = d.xpos[self.feet] + d.xmat[self.feet] @ self.foot_centre.astype(d.qpos.dtype)

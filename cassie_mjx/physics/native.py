@@ -9,8 +9,6 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from cassie_mjx import robot
-from cassie_mjx.model import servo_model, set_terrain
 from cassie_mjx.physics.types import (
     Array,
     BodyState,
@@ -21,6 +19,9 @@ from cassie_mjx.physics.types import (
     check_start,
     delayed,
 )
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.ground import set_terrain
+from cassie_mjx.robot.model import servo_model
 
 
 class NativePhysics:
@@ -83,8 +84,8 @@ class NativePhysics:
         state = replace(state, history=state.history.copy())
         for _ in range(n_steps):
             qpos, qvel = delayed(state, disturbance)
-            q, qdot = qpos[:, robot.ACTIVE_QPOS], qvel[:, robot.ACTIVE_QVEL]
-            pool.ctrl[:] = robot.pd_torque(target, q, qdot, self.damping) / robot.GEAR
+            q, qdot = qpos[:, cassie.ACTIVE_QPOS], qvel[:, cassie.ACTIVE_QVEL]
+            pool.ctrl[:] = cassie.pd_torque(target, q, qdot, self.damping) / cassie.GEAR
             pool.push[:] = _force(state.step, disturbance)
             pool.batch.step()
             state = pool.state(state.step + 1, state.history)
@@ -128,7 +129,7 @@ class _Pool:
         self.heights = np.zeros(0)
         self.qpos, self.qvel, self.ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
         self.warmstart = batch.bind("qacc_warmstart")
-        self.push = batch.bind("xfrc_applied")[:, robot.PELVIS_BODY, :3]
+        self.push = batch.bind("xfrc_applied")[:, cassie.PELVIS_BODY, :3]
 
     def state(self, step: np.ndarray, history: np.ndarray) -> PhysicsState:
         return PhysicsState(self.qpos.copy(), self.qvel.copy(), self.warmstart.copy(), step, history)
@@ -152,7 +153,7 @@ class _Kinematics:
             xipos=self.bound["xipos"].copy(),
             ximat=self.bound["ximat"].reshape(matrices).copy(),
             cvel=self.bound["cvel"].copy(),
-            com=self.bound["subtree_com"][:, robot.PELVIS_BODY].copy(),
+            com=self.bound["subtree_com"][:, cassie.PELVIS_BODY].copy(),
         )
 
 

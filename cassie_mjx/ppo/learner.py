@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, Key
 
-from cassie_mjx.config import PPOConfig
 from cassie_mjx.ppo import loss, networks, normalizer
 from cassie_mjx.ppo.advantage import average, generalized_advantage, standardize
+from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.ppo.types import LearnerState, Params, Policy, Rollout, UpdateMetrics
 
 # The step size is left alone while the KL divergence is within KL_BAND times its target, either way, and changes by

@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from cassie_mjx.config import PPOConfig
 from cassie_mjx.ppo import networks
 from cassie_mjx.ppo import normalizer as normalization
+from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.ppo.types import EnvState, Normalizer, Policy, Rollout, Step
 
 Collect = Callable[[Policy, Any, Key[Array, ""]], tuple[Any, Rollout]]

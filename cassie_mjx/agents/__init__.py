@@ -1,0 +1,1 @@
+"""What can walk: policies, blends of them, the heuristic walker."""

@@ -1,0 +1,63 @@
+"""The agent of a name: a policy, a blend, the heuristic walker."""
+
+from dataclasses import dataclass
+
+from cassie_mjx.agents.blend import BLEND_PREFIX, BlendAgent
+from cassie_mjx.agents.blending import SCHEDULES
+from cassie_mjx.agents.heuristic import CONTROLLER_PREFIX, HeuristicAgent
+from cassie_mjx.agents.numpy_policy import NumpyPolicy
+from cassie_mjx.agents.policy import PolicyAgent
+from cassie_mjx.agents.policy_file import policy_path, shipped_policies
+from cassie_mjx.evaluation.trial import Subject
+from cassie_mjx.heuristic.config import CONTROLLERS
+
+
+@dataclass(frozen=True)
+class AgentConfig:
+    """What walks: the first keys of a command that has one subject."""
+
+    policy: str = "1x"
+    """What walks: a policy that we ship, a policy's .npz file, a run's directory (its best policy), "controller:stiff",
+    "controller:compliant", or "blend:" and two or more policies with commas between."""
+    speed: str | None = None
+    """Speed at which a policy is told to walk, such as "2.5x"; null for its own, 1x if it was trained at any."""
+    schedule: str | None = None
+    """How a blend changes: "ramp", to its last policy and back in time, or "adaptive", against the loss of speed."""
+
+    def subject(self) -> Subject:
+        """The subject of these names; see `resolve`."""
+        return make_agent(self.policy, self.speed, self.schedule)
+
+
+def make_agent(name: str, speed: str | None = None, schedule: str | None = None) -> Subject:
+    """The subject of that name: a policy, a blend of policies, or a controller.
+
+    Args:
+      name: a policy that we ship, its .npz file or a training run's directory; "blend:POLICY,POLICY,...", two or
+        more; "controller:NAME".
+      speed: at which a policy is told to walk, such as "2.5x"; None for the one it was trained at, 1x if at any.
+      schedule: how a blend goes from its first policy to its last, one of `SCHEDULES`.
+
+    Raises:
+      ValueError: there is no such subject, or two; it takes no such speed or schedule; or its file is damaged.
+    """
+    if name.startswith(BLEND_PREFIX) != (schedule is not None):
+        known = " or ".join(SCHEDULES)
+        raise ValueError(f"policy={name} with schedule={schedule}: a blend, and nothing else, takes schedule={known}.")
+    if speed is not None and name.startswith((BLEND_PREFIX, CONTROLLER_PREFIX)):
+        raise ValueError(f"policy={name} with speed={speed}: a single policy takes a speed, and nothing else does.")
+    if schedule is not None:
+        return BlendAgent([make_policy_agent(part) for part in name.removeprefix(BLEND_PREFIX).split(",")], schedule)
+    preset = name.removeprefix(CONTROLLER_PREFIX)
+    if name.startswith(CONTROLLER_PREFIX) and preset in CONTROLLERS:
+        return HeuristicAgent(preset)
+    return make_policy_agent(name, speed)
+
+
+def make_policy_agent(name: str, speed: str | None = None) -> "PolicyAgent":
+    """The policy of that name, told to walk at `speed`; see `resolve`."""
+    path = policy_path(name)
+    if path is None:
+        known = ", ".join([*shipped_policies(), *(CONTROLLER_PREFIX + preset for preset in CONTROLLERS)])
+        raise ValueError(f"policy={name} is none of {known}, nor a policy's .npz file, nor a run's directory.")
+    return PolicyAgent(name, NumpyPolicy.load(path), speed)

@@ -1,0 +1,58 @@
+"""Where a result comes from."""
+
+import datetime
+import importlib.metadata
+import os
+import platform
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "brax", "flax", "optax", "numpy")
+
+
+def provenance(**more: Any) -> dict[str, Any]:
+    """Where a result comes from: command, commit, date, hardware, versions, and whatever else is given."""
+    module = getattr(sys.modules["__main__"], "__spec__", None)
+    name = module.name.removesuffix(".__main__") if module else Path(sys.argv[0]).name
+    return {
+        "command": " ".join(["python -m", name, *sys.argv[1:]]),
+        "commit": _commit(),
+        "date": datetime.date.today().isoformat(),
+        "hardware": ", ".join([_processor(), f"{os.cpu_count()} cores", *_accelerators()]),
+        "python": platform.python_version(),
+        "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
+        **more,
+    }
+
+
+def _commit() -> str:
+    git = ["git", "-C", str(Path(__file__).parent)]
+    try:
+        top = subprocess.run([*git, "rev-parse", "--show-toplevel"], capture_output=True, text=True, check=True)
+        if Path(top.stdout.strip()) != Path(__file__).parents[1]:
+            return "not a checkout"
+        commit = subprocess.run([*git, "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=True)
+        changes = subprocess.run([*git, "status", "--porcelain", "-uno"], capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return "not a checkout"
+    return commit.stdout.strip() + ("+changes" if changes.stdout.strip() else "")
+
+
+def _accelerators() -> list[str]:
+    """What JAX computes on other than the processor, if JAX is in use."""
+    jax = sys.modules.get("jax")
+    if not jax or jax.default_backend() == "cpu":
+        return []
+    counts = Counter(device.device_kind for device in jax.devices())
+    return [f"{count} x {kind}" for kind, count in counts.items()]
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())

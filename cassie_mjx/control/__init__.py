@@ -1,0 +1,1 @@
+"""What stands between the robot's state and its PD targets."""

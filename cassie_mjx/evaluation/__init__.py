@@ -1,0 +1,1 @@
+"""Trials of agents: simulated, scheduled, measured, filmed."""

@@ -1,0 +1,1 @@
+"""The hand-made controller that records the reference motion."""

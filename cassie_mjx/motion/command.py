@@ -1,0 +1,44 @@
+"""What a robot is told to do, as an array and as people write it."""
+
+from typing import NamedTuple
+
+from cassie_mjx.robot.arrays import Array
+
+FASTEST = 4.0
+"""Largest factor on the speed of the recorded stride (Xie et al. 2018): the legs cannot follow it beyond."""
+SPEEDS = f"a factor from 0x to {FASTEST:g}x, such as 2x or 1.5x"
+
+
+class Command(NamedTuple):
+    """Velocities that robots are told, in the frame of the path that they walk along."""
+
+    forward: Array
+    """[B], m/s."""
+
+
+def speed_factor(speed: str, valid: str = SPEEDS) -> float:
+    """The factor on the speed of the recorded stride that a text such as "2x" or "1.5" names.
+
+    Raises:
+      ValueError: it is not a number from 0 to 4, with or without an x; the message says that `valid` would work.
+    """
+    try:
+        factor = float(speed.removesuffix("x"))
+    except ValueError:
+        factor = -1.0
+    if not 0 <= factor <= FASTEST:
+        raise ValueError(f"speed={speed} is not a speed; give {valid}.")
+    return factor
+
+
+def speed_factors(speed: str) -> tuple[float, tuple[float, float]]:
+    """What a training's speed asks for: a factor on the motion, and the range of factors commanded on top.
+
+    "2x" is 2 and (1, 1); "any" is 1 and (0, 4).
+
+    Raises:
+      ValueError: it is neither "any" nor a factor from 0 to 4.
+    """
+    if speed == "any":
+        return 1.0, (0.0, FASTEST)
+    return speed_factor(speed, f"{SPEEDS}, or any for all of them"), (1.0, 1.0)

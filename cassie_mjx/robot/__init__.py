@@ -1,0 +1,1 @@
+"""Cassie: names, model, closed loops, ground."""

@@ -1,0 +1,170 @@
+"""From MJCF to compiled models: which scene, rate and contacts, for MuJoCo C and for MJX."""
+
+import copy
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from cassie_mjx.robot import cassie
+
+CONTROL_PERIOD_S = 0.032
+SCENES = ("flat", "terrain")
+
+# In undisturbed walking nothing else touches anything; after a push of 60 N the legs do meet, by up to 2 mm
+# (`experiments.contacts`). The referee has that, and what touches the floor in a fall.
+WALKING_PAIRS = ("floor:left-foot", "floor:right-foot")
+CONTACTS = ("walking", "referee", "published")
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Which Cassie to compile."""
+
+    physics_hz: int = 2000
+    """Physics steps a second; a whole number of them must fit in the 32 ms of a control step."""
+    scene: str = "flat"
+    """"flat" or "terrain" (z = h sin x)."""
+    contacts: str = "referee"
+    """"walking": the feet with the floor alone; "referee": also shanks and pelvis with the floor, and leg with leg;
+    "published": also the thighs with the floor, as in the published model."""
+    iterations: int = 100
+    """Most iterations of the constraint solver (Newton); it stops earlier when converged."""
+    ls_iterations: int = 50
+    """Most iterations of each line search in the solver."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a value that names no model."""
+        steps_per_control(self.physics_hz)
+        for name, value, valid in (("scene", self.scene, SCENES), ("contacts", self.contacts, CONTACTS)):
+            if value not in valid:
+                raise ValueError(f"{name}={value!r} is not known; choose one of {', '.join(valid)}.")
+
+
+def steps_per_control(physics_hz: float) -> int:
+    """Physics steps in one control step of 32 ms. Raises ValueError unless that is a whole number."""
+    steps = CONTROL_PERIOD_S * physics_hz
+    if physics_hz <= 0 or abs(steps - round(steps)) > 1e-9:
+        raise ValueError(
+            f"physics_hz={physics_hz:g} does not divide the control step of 32 ms into whole physics steps; "
+            "use 500, 1000 or 2000."
+        )
+    return round(steps)
+
+
+MJX_TRAINING = ModelConfig(physics_hz=1000, contacts="walking", iterations=4, ls_iterations=6)
+"""What MJX trains on. By `experiments.solver` one iteration diverges; from two on the loops hold as in MuJoCo C. The
+solver stops once it has converged, so the bounds of 4 and 6 leave a margin at hardly a cost."""
+MJX_TESTING = replace(MJX_TRAINING, physics_hz=2000, contacts="referee")
+"""What MJX tests on: the referee's rate and contacts."""
+
+
+def xml_path(scene: str = "flat") -> Path:
+    """The MJCF of a scene, in a checkout and in an installed package alike."""
+    package = Path(str(files("cassie_mjx")))
+    for folder in (package / "xml", package.parent / "xml"):
+        if (folder / f"scene_{scene}.xml").is_file():
+            return folder / f"scene_{scene}.xml"
+    raise ValueError(f"No scene_{scene}.xml beside the package in {package}; reinstall cassie-mjx.")
+
+
+def load_model(config: ModelConfig, path: Path | None = None) -> mujoco.MjModel:
+    """Compile the physics of a scene: no visuals, no sensors, motors as published (control in motor N·m).
+
+    Args:
+      config: scene, rate, contacts and solver.
+      path: another MJCF of the same robot instead of the package's scene.
+
+    Raises:
+      ValueError: the file cannot be compiled, or its joints, bodies or motors are not Cassie's.
+    """
+    spec = _read(path or xml_path(config.scene))
+    _strip(spec)
+    _choose_pairs(spec, config.contacts)
+    return _compile(spec, config)
+
+
+def load_mjx_model(config: ModelConfig) -> mujoco.MjModel:
+    """Compile the physics for MJX: as `load`, but the floor under each leg and the pelvis is a plane of its own.
+
+    A plane of its own can follow the terrain's tangent under that leg: any height without compiling anew. So both
+    scenes are one model here, and `config.scene` does not matter.
+    """
+    spec = _read(xml_path("flat"))
+    _strip(spec)
+    floor = spec.geom("floor")
+    for part in ("left", "right", "pelvis"):
+        spec.worldbody.add_geom(name=f"{part}-floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05])
+        spec.geom(f"{part}-floor").contype = spec.geom(f"{part}-floor").conaffinity = 0
+    _choose_pairs(spec, config.contacts)
+    for pair in spec.pairs:
+        if pair.geomname1 == "floor":
+            pair.geomname1 = f"{pair.geomname2.split('-')[0]}-floor"
+    spec.delete(floor)
+    return _compile(spec, config)
+
+
+def servo_model(model: mujoco.MjModel, damping: float = 1.0) -> mujoco.MjModel:
+    """A copy whose motors are position servos in joint units: control is the PD target in rad.
+
+    Force = P ctrl - P q - s D qdot with s = `damping`, clipped to the joint's torque limit: the PD law of
+    `cassie.pd_torque`, evaluated by MuJoCo at every step.
+    """
+    servo = copy.copy(model)
+    servo.actuator_gear[:, 0] = 1.0
+    servo.actuator_gaintype[:] = mujoco.mjtGain.mjGAIN_FIXED
+    servo.actuator_gainprm[:, 0] = cassie.P_GAIN
+    servo.actuator_biastype[:] = mujoco.mjtBias.mjBIAS_AFFINE
+    servo.actuator_biasprm[:, 1] = -cassie.P_GAIN
+    servo.actuator_biasprm[:, 2] = -damping * cassie.D_GAIN
+    servo.actuator_ctrllimited[:] = 0
+    servo.actuator_forcelimited[:] = 1
+    servo.actuator_forcerange[:] = np.stack([-cassie.TORQUE_LIMIT, cassie.TORQUE_LIMIT], axis=1)
+    return servo
+
+
+def standing(model: mujoco.MjModel) -> np.ndarray:
+    """The keyframe "standing", qpos [35], which `cassie.STANDING_TARGET` holds."""
+    return model.key("standing").qpos.copy()
+
+
+def _read(path: Path) -> mujoco.MjSpec:
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise ValueError(f"{path} is not a model that MuJoCo reads: {error}") from error
+
+
+def _strip(spec: mujoco.MjSpec) -> None:
+    """Delete what only eyes and sensors need."""
+    for group in (spec.sensors, spec.cameras, spec.lights, spec.sites):
+        for element in list(group):
+            spec.delete(element)
+    for geom in [g for g in spec.geoms if g.name != "floor" and not g.name.endswith("-collision")]:
+        spec.delete(geom)
+
+
+def _choose_pairs(spec: mujoco.MjSpec, contacts: str) -> None:
+    if contacts == "published":
+        for side in cassie.SIDES:
+            thigh = spec.add_pair(spec.find_default("floor"), name=f"floor:{side}-hip-pitch")
+            thigh.geomname1, thigh.geomname2 = "floor", f"{side}-hip-pitch-collision"
+    elif contacts == "walking":
+        for pair in [pair for pair in spec.pairs if pair.name not in WALKING_PAIRS]:
+            spec.delete(pair)
+
+
+def _compile(spec: mujoco.MjSpec, config: ModelConfig) -> mujoco.MjModel:
+    spec.option.timestep = 1.0 / config.physics_hz
+    spec.option.iterations = config.iterations
+    spec.option.ls_iterations = config.ls_iterations
+    # A diverged robot keeps its NaN, for the environment to see, instead of jumping back to the start.
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise ValueError(f"MuJoCo cannot compile the model: {error}") from error
+    cassie.check(model)
+    return model

@@ -1,0 +1,240 @@
+"""Checkpoints of whole runs: written by orbax, renamed into place when complete, checked byte by byte when read.
+
+A checkpoint is a directory `step_<iteration>`:
+
+    state/          every array of the run's state, by orbax, as NumPy arrays under their path in the state
+    reference.npz   the reference motion
+    record.json     configuration, counters, provenance
+    manifest.json   size and SHA-256 of every other file; written last
+
+A directory of any other name, such as one left by a save that was killed, is no checkpoint and is removed by the next
+save.
+"""
+
+import errno
+import hashlib
+import json
+import logging
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import numpy as np
+import orbax.checkpoint as ocp
+
+from cassie_mjx.motion.files import read_motion, save_motion
+from cassie_mjx.motion.reference import ReferenceMotion
+
+KEPT = 2
+"""Checkpoints kept: the last, and the one before it in case the last is damaged on disk."""
+
+FORMAT = 1
+
+_PREFIX, _MANIFEST = "step_", "manifest.json"
+
+T = TypeVar("T")
+
+
+class Restored(NamedTuple):
+    """A checkpoint read back."""
+
+    arrays: dict[str, np.ndarray]
+    """Arrays of the state by path; `fill` puts them into a state's structure."""
+    motion: ReferenceMotion
+    """The reference motion."""
+    record: dict[str, Any]
+    """What `save` was given."""
+
+
+def save(directory: Path, iteration: int, state: Any, motion: ReferenceMotion, record: dict[str, Any]) -> Path:
+    """Write a checkpoint whole or not at all, then remove all but the last `KEPT`.
+
+    Args:
+      directory: of the run's checkpoints; made if missing.
+      iteration: names the checkpoint.
+      state: pytree of arrays.
+      motion: what is imitated.
+      record: anything JSON can hold.
+
+    Returns:
+      The checkpoint's directory.
+
+    Raises:
+      OSError: it cannot be written, for instance on a full disk; the checkpoints before it are as they were.
+    """
+    final = directory / f"{_PREFIX}{iteration:06d}"
+    partial = directory / f"{final.name}.partial"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        _remove_unfinished(directory)
+        partial.mkdir()
+        arrays = _flatten(state)
+        _check_space(partial, arrays)
+        _write_state(partial / "state", arrays)
+        save_motion(partial / "reference.npz", motion, {})
+        (partial / "record.json").write_text(json.dumps({"format": FORMAT, **record}, indent=1))
+        (partial / _MANIFEST).write_text(json.dumps(_manifest(partial), indent=1))
+        _sync(partial)
+        partial.rename(final)
+        _sync_one(directory)
+    except OSError as error:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise OSError(
+            f"The checkpoint {final} could not be written ({error.strerror or error}); those before it are intact."
+        ) from error
+    for old in _checkpoints(directory)[:-KEPT]:
+        _discard(old)
+    return final
+
+
+def latest(directory: Path) -> Path | None:
+    """The last complete checkpoint in `directory`, if there is one."""
+    return next(reversed(_checkpoints(directory)), None)
+
+
+def iteration_of(checkpoint: Path) -> int:
+    """The iteration after which a checkpoint was saved."""
+    return int(checkpoint.name.removeprefix(_PREFIX))
+
+
+def restore(checkpoint: Path) -> Restored:
+    """Read a checkpoint that any platform wrote.
+
+    Raises:
+      ValueError: a file is missing, cut short or altered, named in the message; or the format is another.
+    """
+    _check(checkpoint)
+    record = json.loads((checkpoint / "record.json").read_text())
+    if record.pop("format") != FORMAT:
+        raise ValueError(f"{checkpoint} is of another format than {FORMAT}, which this version of Cassie MJX reads.")
+    motion, _ = read_motion(checkpoint / "reference.npz")
+    return Restored(_read_state(checkpoint / "state"), motion, record)
+
+
+def fill(template: T, arrays: dict[str, np.ndarray]) -> T:
+    """The state `template` with the restored arrays in place of its own, each where, and in the precision that, it was.
+
+    Raises:
+      ValueError: an array is missing or has another shape.
+    """
+
+    def pick(path: Any, leaf: Any) -> Any:
+        name = jax.tree_util.keystr(path)
+        if np.size(leaf) == 0:
+            return leaf
+        if name not in arrays or arrays[name].shape != np.shape(leaf):
+            found = f"has shape {arrays[name].shape}" if name in arrays else "is missing"
+            raise ValueError(f"The checkpoint does not fit this run: {name} {found}, not of shape {np.shape(leaf)}.")
+        if isinstance(leaf, jax.Array):
+            return jax.device_put(arrays[name].astype(leaf.dtype), leaf.sharding)
+        return arrays[name].astype(np.asarray(leaf).dtype)
+
+    return jax.tree_util.tree_map_with_path(pick, template)
+
+
+def _flatten(state: Any) -> dict[str, np.ndarray]:
+    leaves = jax.tree_util.tree_leaves_with_path(state)
+    # orbax writes no empty arrays; `fill` does without.
+    return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves if np.size(leaf)}
+
+
+def _check_space(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Raise OSError if the disk is too full: in the middle of a save, orbax's threads would print their tracebacks."""
+    # Each array is written twice, once by the process and once merged; 1 MB is more than all the rest takes.
+    needed = 2 * sum(array.nbytes for array in arrays.values()) + 1_000_000
+    if shutil.disk_usage(path).free < needed:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def _write_state(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    # orbax logs the traceback of each of its threads, and then raises the error.
+    orbax_log = logging.getLogger("absl")
+    orbax_log.disabled = True
+    try:
+        with _checkpointer() as checkpointer:
+            checkpointer.save(path.absolute(), args=ocp.args.StandardSave(arrays))
+    except ValueError as error:
+        # TensorStore reports the system's errors in this form.
+        code = re.search(r"os_error_code='(\d+)'", str(error))
+        if code is None:
+            raise
+        raise OSError(int(code[1]), os.strerror(int(code[1]))) from error
+    finally:
+        orbax_log.disabled = False
+
+
+def _read_state(path: Path) -> dict[str, np.ndarray]:
+    with _checkpointer() as checkpointer:
+        restored = checkpointer.restore(path.absolute(), args=ocp.args.StandardRestore())
+    return {name: np.asarray(value) for name, value in restored.items()}
+
+
+def _checkpointer() -> ocp.Checkpointer:
+    # By itself, orbax would wait for the other processes of a training to make the same call.
+    me = jax.process_index()
+    alone = ocp.options.MultiprocessingOptions(primary_host=me, active_processes={me})
+    return ocp.Checkpointer(ocp.StandardCheckpointHandler(multiprocessing_options=alone), multiprocessing_options=alone)
+
+
+def _checkpoints(directory: Path) -> list[Path]:
+    return sorted(path for path in directory.glob(f"{_PREFIX}*") if path.name.removeprefix(_PREFIX).isdigit())
+
+
+def _remove_unfinished(directory: Path) -> None:
+    for path in directory.glob(f"{_PREFIX}*.partial"):
+        shutil.rmtree(path)
+
+
+def _discard(checkpoint: Path) -> None:
+    """Remove a checkpoint so that at no moment a part of it passes for one."""
+    doomed = checkpoint.with_name(f"{checkpoint.name}.old.partial")
+    checkpoint.rename(doomed)
+    shutil.rmtree(doomed)
+
+
+def _files(checkpoint: Path) -> Iterator[Path]:
+    return (path for path in sorted(checkpoint.rglob("*")) if path.is_file() and path.name != _MANIFEST)
+
+
+def _manifest(checkpoint: Path) -> dict[str, dict[str, Any]]:
+    return {
+        path.relative_to(checkpoint).as_posix(): {"bytes": path.stat().st_size, "sha256": _sha256(path)}
+        for path in _files(checkpoint)
+    }
+
+
+def _check(checkpoint: Path) -> None:
+    advice = f"remove {checkpoint.name} to go on from the checkpoint before it, if there is one."
+    try:
+        manifest = json.loads((checkpoint / _MANIFEST).read_text())
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{checkpoint / _MANIFEST} cannot be read ({error}); {advice}") from error
+    for name, expected in manifest.items():
+        path = checkpoint / name
+        if not path.is_file():
+            raise ValueError(f"{path} is missing; {advice}")
+        if path.stat().st_size != expected["bytes"]:
+            raise ValueError(f"{path} has {path.stat().st_size} bytes instead of {expected['bytes']}; {advice}")
+        if _sha256(path) != expected["sha256"]:
+            raise ValueError(f"{path} is not what was saved: its SHA-256 differs; {advice}")
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _sync(checkpoint: Path) -> None:
+    for path in (*checkpoint.rglob("*"), checkpoint):
+        _sync_one(path)
+
+
+def _sync_one(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

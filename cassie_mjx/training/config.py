@@ -1,0 +1,80 @@
+"""The configuration of a training run."""
+
+from dataclasses import dataclass, field, replace
+
+import jax
+
+from cassie_mjx.control.command import speed_factors
+from cassie_mjx.envs.walk import WALK_PRESETS, WalkConfig
+from cassie_mjx.ppo import learner
+from cassie_mjx.ppo.config import PPO_PRESETS, PPOConfig
+from cassie_mjx.robot.model import steps_per_control
+
+# Rates that training is stable and fast at, Hz; every return is measured at 2 kHz.
+TRAINING_HZ = {"native": 500, "mjx": 1000}
+
+PRESETS = {"walk": ("undisturbed", WALK_PRESETS), "ppo": ("parallel", PPO_PRESETS)}
+"""Presets that a command line can choose from, and which is the default."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """A training run."""
+
+    speed: str = "1x"
+    """Factor on the pelvis x of the reference motion, from "0x" to "4x"; "any" commands one after another."""
+    physics: str = "auto"
+    """"native": MuJoCo C on CPU threads; "mjx"; "auto": MJX if there is an accelerator."""
+    physics_hz: int | None = None
+    """Physics steps a second in training; null for 500 on MuJoCo C and 1000 on MJX."""
+    seed: int = 0
+    """What all random numbers of the run come from."""
+    reference: str = "walk"
+    """Reference motion: a name that we ship, or a file."""
+    init: str | None = None
+    """Policy to start from, with its input statistics: one that we ship, a .npz file, or a run's directory (its best);
+    null for none. Critic, optimiser and noise start anew."""
+    walk: WalkConfig = field(default_factory=WalkConfig)
+    """The task."""
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+    """The learner: a preset (ppo=paper) and single values (ppo.gamma=0.98)."""
+    evaluate_every: int = 10
+    """Iterations between measurements of the return; each is followed by a checkpoint."""
+    run_dir: str | None = None
+    """Directory of the run; null for runs/<speed>-seed<seed>."""
+    resume: bool = False
+    """Whether to go on with the run that `run_dir` holds, if it holds one."""
+    distributed: bool = False
+    """Whether this is one of several processes of a cluster that train together, on MJX."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a value out of range."""
+        speed_factors(self.speed)
+        if self.physics not in ("auto", *TRAINING_HZ):
+            raise ValueError(f"physics={self.physics} is not known; choose one of auto, {', '.join(TRAINING_HZ)}.")
+        if self.physics_hz is not None:
+            steps_per_control(self.physics_hz)
+        if self.evaluate_every < 1:
+            raise ValueError(f"evaluate_every={self.evaluate_every} must be at least 1.")
+        if not 0 <= self.seed < 2**32:
+            raise ValueError(f"seed={self.seed} must be from 0 to 2^32 - 1.")
+
+
+def resolve_config(config: TrainConfig) -> TrainConfig:
+    """The configuration with nothing left to choose: engine, rate and directory.
+
+    Raises:
+      ValueError: the engine cannot use several processes, or the sizes do not divide among the devices.
+    """
+    accelerated = config.physics == "auto" and jax.default_backend() != "cpu"
+    physics = ("mjx" if accelerated else "native") if config.physics == "auto" else config.physics
+    if physics == "mjx":
+        learner.check_devices(config.ppo, jax.device_count())
+    elif jax.process_count() > 1:
+        raise ValueError("physics=native runs in one process; choose physics=mjx to train with several.")
+    return replace(
+        config,
+        physics=physics,
+        physics_hz=config.physics_hz or TRAINING_HZ[physics],
+        run_dir=config.run_dir or f"runs/{config.speed}-seed{config.seed}",
+    )

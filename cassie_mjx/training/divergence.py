@@ -1,0 +1,90 @@
+"""When physics diverges in training: the model and the state before it, such that plain MuJoCo shows it again.
+
+    model = mujoco.MjModel.from_binary_path("nan/model.mjb")
+    before = np.load("nan/before.npz")
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = before["qpos"], before["qvel"]
+    data.qacc_warmstart[:], data.ctrl[:] = before["qacc_warmstart"], before["target"]
+    for step in range(before["step"], before["step"] + before["n_steps"]):
+        pushed = before["push_start"] <= step < before["push_stop"]
+        data.body("cassie-pelvis").xfrc_applied[:3] = before["push"] * pushed
+        mujoco.mj_step(model, data)
+
+The motors are position servos on the present state: what diverged on senses `delay` steps old, or on MJX, need not do
+so again in MuJoCo C.
+"""
+
+import copy
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+
+from cassie_mjx.envs.types import WalkState
+from cassie_mjx.envs.walk import WalkEnv
+from cassie_mjx.physics.types import Array, Disturbance, Physics, PhysicsState
+from cassie_mjx.ppo.config import PPOConfig
+from cassie_mjx.ppo.rollout import collect_on_host
+from cassie_mjx.ppo.types import Policy
+from cassie_mjx.robot.ground import set_terrain
+from cassie_mjx.robot.model import ModelConfig, load_model, servo_model
+
+Divergence = dict[str, Any]
+"""One robot's `PhysicsState` and `Disturbance`, field by field, its PD targets `target` and `n_steps`."""
+
+
+def replay(env: WalkEnv, config: PPOConfig, policy: Policy, state: WalkState, key: jax.Array) -> Divergence | None:
+    """What led to the first divergence in a rollout, which is collected again, on either engine step by step.
+
+    Args:
+      env: the task.
+      config: of the learner.
+      policy: that collected the rollout.
+      state: of the robots before the rollout.
+      key: that the rollout was collected with.
+
+    Returns:
+      The divergence; None if it does not recur, as can be on MJX, where a single loop is compiled differently.
+    """
+    again = copy.copy(env)
+    again.physics = watched = _WatchedPhysics(env.physics)
+    collect_on_host(again.step, config, policy, state, key)
+    return watched.divergence
+
+
+def dump(folder: Path, physics: Physics, divergence: Divergence) -> None:
+    """Write `model.mjb` and `before.npz` into a new folder.
+
+    Raises:
+      OSError: they cannot be written.
+    """
+    folder.mkdir(parents=True)
+    model, height = physics.model, float(divergence["terrain"])
+    if height and not model.nhfield:  # on MJX the terrain is planes that move
+        model = load_model(ModelConfig(physics_hz=round(1 / model.opt.timestep), scene="terrain"))
+    model = servo_model(model, physics.damping)
+    if model.nhfield:
+        set_terrain(model, height)
+    mujoco.mj_saveModel(model, str(folder / "model.mjb"))
+    np.savez(folder / "before.npz", **divergence)
+
+
+class _WatchedPhysics:
+    """An engine that remembers what it was asked for when a robot's state first stopped being finite."""
+
+    def __init__(self, physics: Physics) -> None:
+        self.model, self.max_delay, self.damping = physics.model, physics.max_delay, physics.damping
+        self.init, self.bodies, self._advance = physics.init, physics.bodies, physics.advance
+        self.divergence: Divergence | None = None
+
+    def advance(self, state: PhysicsState, target: Array, disturbance: Disturbance, n_steps: int) -> PhysicsState:
+        after = self._advance(state, target, disturbance, n_steps)
+        lost = np.flatnonzero(~np.isfinite(np.concatenate([after.qpos, after.qvel], axis=1)).all(axis=1))
+        if len(lost) and self.divergence is None:
+            fields = asdict(state) | asdict(disturbance) | {"target": target}
+            self.divergence = {name: np.asarray(value)[lost[0]] for name, value in fields.items()}
+            self.divergence["n_steps"] = n_steps
+        return after

@@ -1,0 +1,247 @@
+"""Train a policy: `python -m cassie_mjx.train speed=1x`.
+
+The host's loop: iterate, measure, save. A run is a directory with its configuration, metrics, checkpoints and policies;
+whatever ends it, the same command with resume=true goes on exactly where the last checkpoint was.
+"""
+
+import signal
+import sys
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from types import FrameType
+
+import jax
+from rich.console import Console
+
+from cassie_mjx import cli
+from cassie_mjx.agents.policy_file import save_policy
+from cassie_mjx.control import observation
+from cassie_mjx.control.command import speed_factors
+from cassie_mjx.evaluation.returns import referee, walk_returns
+from cassie_mjx.motion.files import load_motion
+from cassie_mjx.motion.reference import stretch
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.ppo import networks
+from cassie_mjx.ppo.types import Policy
+from cassie_mjx.robot.model import ModelConfig, load_model
+from cassie_mjx.training import checkpoint, devices, divergence, run_directory
+from cassie_mjx.training.config import TrainConfig, resolve_config
+from cassie_mjx.training.loggers import JsonLines, TensorBoard, Terminal
+from cassie_mjx.training.trainer import IterationMetrics, RunState, Trainer, initial_policy
+
+
+@dataclass
+class Counters:
+    """What the host counts over a whole run, resumed or not."""
+
+    train_s: float = 0.0
+    """Time in training, evaluations apart, s."""
+    return_plain: float = -1.0
+    """`return_plain` of the best policy so far: best by the reward that is learned from."""
+    return_weighted: float = -1.0
+    """`return_weighted` of the same policy."""
+
+
+@dataclass
+class Lap:
+    """What the host counts from one evaluation to the next."""
+
+    train_s: float = 0.0
+    """Time in training, s."""
+    iterations: int = 0
+    ends: Counter[str] = field(default_factory=Counter)
+    """Episodes that ended by each of `walk.ENDS`."""
+
+
+class Session:
+    """One process' part of a run: from its start or its last checkpoint to its end or a signal."""
+
+    def __init__(self, config: TrainConfig, console: Console) -> None:
+        """Claim the run's directory and load_model what it holds.
+
+        Raises:
+          ValueError: the configuration, the reference or the directory will not do; nothing is written then.
+        """
+        self.config = config = resolve_config(config)
+        self.folder = Path(str(config.run_dir))
+        self.factor, speeds = speed_factors(config.speed)
+        motion = stretch(load_motion(config.reference), self.factor)
+        begun = checkpoint.latest(self.folder / "checkpoints") is not None
+        policy = None if begun else initial_policy(config)
+        self.provenance = cli.provenance()
+        restored = run_directory.claim(self.folder, config, self.provenance)
+        self.motion = restored.motion if restored else motion
+        self.trainer = Trainer(config, self.motion)
+        self.run, self.counters = self.trainer.start(policy), Counters()
+        if restored:
+            self.run = checkpoint.fill(self.run, restored.arrays)
+            self.counters = Counters(**restored.record["counters"])
+        self.saved = self.done if restored else None
+        self.terminal = Terminal(console, config.ppo.iterations, self.done)
+        self.sinks = self._sinks() if devices.is_first() else ()
+        judge = NativePhysics(load_model(ModelConfig()), damping=config.walk.damping)
+        self.referee, self.act = referee(self.motion, judge, speeds), jax.jit(self._act)
+        self.lap = Lap()
+        self.diagnosed = bool(max(devices.exchange((self.folder / "nan").exists())))
+
+    @property
+    def done(self) -> int:
+        """Iterations done."""
+        return int(self.run.learner.iteration)
+
+    @property
+    def samples(self) -> int:
+        """Control steps learned from."""
+        return self.done * self.config.ppo.num_samples
+
+    def train(self) -> None:
+        """Train until the last iteration or a signal, and say what came of it."""
+        with Interruption() as interruption, self.terminal:
+            self.terminal.say(f"{'Resuming' if self.done else 'Training'} in {self.folder}: {self._plan()}")
+            if self.run.learner.policy.normalizer.samples == 0:
+                began = time.perf_counter()
+                self.run = jax.block_until_ready(self.trainer.gather_statistics(self.run))
+                self._count(time.perf_counter() - began)
+            total, stopped = self.config.ppo.iterations, 0
+            # A signal to one process stops all of them after the same iteration.
+            while self.done < total and not (stopped := max(devices.exchange(interruption.signal))):
+                self._iterate()
+            if self.saved != self.done:
+                self._save()
+        if stopped:
+            self.terminal.say(
+                f"Stopped and saved after iteration {self.done}. To go on:\n  {run_directory.resume_command()}"
+            )
+            sys.exit(128 + stopped)
+        self._conclude()
+
+    def _iterate(self) -> None:
+        began, before = time.perf_counter(), self.run
+        self.run, metrics = self.trainer.iterate(before)
+        metrics = jax.device_get(metrics)
+        elapsed = time.perf_counter() - began
+        self._count(elapsed)
+        self.lap.iterations += 1
+        self.lap.ends.update({name: int(count) for name, count in metrics.ends.items()})
+        if metrics.ends["nan"] and not self.diagnosed:
+            self._diagnose(before)
+        rate = self.config.ppo.num_samples / elapsed
+        self.terminal.advance(float(metrics.update.reward), self._episode_steps(metrics), rate)
+        if self.done % self.config.evaluate_every == 0 or self.done == self.config.ppo.iterations:
+            if devices.is_first():
+                self._measure(metrics)
+            self._save()
+
+    def _diagnose(self, before: RunState) -> None:
+        """Keep what led to the run's first divergence of the physics; looked for once, for a replay takes time."""
+        self.diagnosed = True
+        found = self.trainer.replay(before)
+        if found and devices.is_first():
+            divergence.dump(self.folder / "nan", self.trainer.env.physics, found)
+        kept = (
+            f"the model and the state before it are in {self.folder / 'nan'}"
+            if found
+            else "it did not recur in a replay"
+        )
+        self.terminal.say(f"Physics diverged in iteration {self.done}, which ended an episode; {kept}.")
+
+    def _sinks(self) -> tuple[JsonLines, TensorBoard, Terminal]:
+        lines = JsonLines(self.folder / "metrics.jsonl", self.samples)
+        return lines, TensorBoard(self.folder / "tensorboard", self.samples), self.terminal
+
+    def _count(self, seconds: float) -> None:
+        self.counters.train_s += seconds
+        self.lap.train_s += seconds
+
+    def _act(self, policy: Policy, seen: jax.Array) -> jax.Array:
+        act = partial(networks.mode, policy)
+        return observation.symmetric(act)(seen) if self.config.walk.symmetric else act(seen)
+
+    def _measure(self, metrics: IterationMetrics) -> None:
+        """Measure the return, log it, and keep the policy."""
+        began = time.perf_counter()
+        walk, policy = self.config.walk, devices.own_copy(self.run.learner.policy)
+        returns = walk_returns(partial(self.act, policy), self.referee)
+        values = self._values(metrics, returns, time.perf_counter() - began)
+        for sink in self.sinks:
+            sink.write(values)
+        origin = self.provenance | {"seed": self.config.seed, "samples": self.samples, **returns}
+        names = ["last"]
+        # No undisturbed return tells which policy is the most robust: under disturbances, it is the last.
+        goal, counters = f"return_{self.config.walk.reward}", self.counters
+        if returns[goal] > getattr(counters, goal) or self.config.walk.disturbance.active:
+            counters.return_plain, counters.return_weighted = returns["return_plain"], returns["return_weighted"]
+            names.append("best")
+        for name in names:
+            save_policy(
+                self.folder / f"{name}.npz", policy, self.motion, self.factor, walk.damping, origin, walk.symmetric
+            )
+
+    def _values(self, metrics: IterationMetrics, returns: dict[str, float], eval_s: float) -> dict[str, float]:
+        """One line of metrics; counts, rates and shares of the time are those since the last one."""
+        lap, self.lap = self.lap, Lap()
+        seconds = {"eval": eval_s, **self.trainer.watch.lap()}
+        return {
+            "train/iteration": self.done,
+            "train/samples": self.samples,
+            "train/episode_steps": self._episode_steps(metrics),
+            **{f"train/{name}": count for name, count in lap.ends.items()},
+            "time/train_s": self.counters.train_s,
+            "time/samples_per_s": lap.iterations * self.config.ppo.num_samples / lap.train_s,
+            "time/physics_steps_per_s": lap.iterations * self.trainer.physics_steps / lap.train_s,
+            **{f"time/{name}_share": spent / (eval_s + lap.train_s) for name, spent in seconds.items()},
+            **{f"eval/{name}": value for name, value in returns.items()},
+            **{f"learner/{name}": float(value) for name, value in metrics.update._asdict().items()},
+        }
+
+    def _episode_steps(self, metrics: IterationMetrics) -> float:
+        """Mean length of an episode, control steps per end; the longest there is if none ended."""
+        ended = float(metrics.update.terminated + metrics.update.truncated)
+        return 1 / max(ended, 1 / self.config.walk.episode_steps)
+
+    def _save(self) -> None:
+        record = {"config": asdict(self.config), "counters": asdict(self.counters), "provenance": self.provenance}
+        state = devices.gather(self.run)
+        if devices.is_first():
+            checkpoint.save(self.folder / "checkpoints", self.done, state, self.motion, record)
+        self.saved = self.done
+
+    def _plan(self) -> str:
+        config = self.config
+        origin = f" from the policy {config.init}" if config.init else ""
+        spread = f" on {jax.device_count()} devices" if config.physics == "mjx" and jax.device_count() > 1 else ""
+        return (
+            f"{config.speed} on {config.reference}{origin}, {config.ppo.num_robots} robots on {config.physics}{spread} "
+            f"at {config.physics_hz} Hz, {config.ppo.iterations} iterations of {config.ppo.num_samples:,} samples."
+        )
+
+    def _conclude(self) -> None:
+        best, counters = self.folder / "best.npz", self.counters
+        self.terminal.say(
+            f"Done: a return of {counters.return_plain:.1f} of 300 by the plain reward, "
+            f"{counters.return_weighted:.1f} by the weighted one, after {counters.train_s:.0f} s of training.\n"
+            f"The policy: {best}\n"
+            f"Next: python -m cassie_mjx.evaluate policy={best}"
+        )
+
+
+class Interruption:
+    """SIGINT and SIGTERM as a request, noted in `signal`; a second one ends the process at once."""
+
+    def __init__(self) -> None:
+        self.signal = 0
+
+    def __enter__(self) -> "Interruption":
+        self._before = {number: signal.signal(number, self._note) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, _: FrameType | None) -> None:
+        self.signal = number
+        self.__exit__()

@@ -1,0 +1,164 @@
+"""What a training run is made of: its configuration, its engine, its state, and one iteration of it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from cassie_mjx.agents.numpy_policy import NumpyPolicy
+from cassie_mjx.agents.policy_file import learner_policy, policy_path, shipped_policies
+from cassie_mjx.control import observation
+from cassie_mjx.control.command import speed_factors
+from cassie_mjx.envs.walk import ENDS, WalkEnv
+from cassie_mjx.motion.reference import ReferenceMotion
+from cassie_mjx.physics.mjx import MjxPhysics
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.ppo import learner, rollout
+from cassie_mjx.ppo.types import LearnerState, Policy, UpdateMetrics
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_mjx_model, load_model, steps_per_control
+from cassie_mjx.training import devices, divergence
+from cassie_mjx.training.config import TRAINING_HZ, TrainConfig
+from cassie_mjx.training.loggers import Stopwatch
+
+
+class RunState(NamedTuple):
+    """Everything that one iteration hands to the next."""
+
+    learner: LearnerState
+    env: Any
+    key: jax.Array
+    """Data of the key that the keys of all iterations are folded from."""
+
+
+class IterationMetrics(NamedTuple):
+    """Scalars of one iteration."""
+
+    update: UpdateMetrics
+    ends: dict[str, jax.Array]
+    """Episodes that ended by each of `walk.ENDS`; one may have ended by several."""
+
+
+def initial_policy(config: TrainConfig) -> Policy | None:
+    """The policy that `config.init` names, if it names one.
+
+    Raises:
+      ValueError: there is none, or two; its file is damaged, or its layers or inputs are not those of this run, or it
+        is symmetric and this run is not.
+    """
+    if config.init is None:
+        return None
+    path = policy_path(config.init)
+    if path is None:
+        known = ", ".join(shipped_policies())
+        raise ValueError(f"init={config.init} is none of {known}, nor a policy's .npz file, nor a run's directory.")
+    saved = NumpyPolicy.load(path)
+    widths = tuple(len(bias) for _, bias in saved.weights[:-1])
+    if widths != config.ppo.hidden_sizes:
+        raise ValueError(f"init={config.init} has hidden layers of {list(widths)}; set ppo.hidden_sizes to that.")
+    if saved.mirror and not config.walk.symmetric:
+        raise ValueError(f"init={config.init} learned one step of the stride alone; set walk.symmetric=true.")
+    return learner_policy(saved)
+
+
+class Trainer:
+    """The compiled or timed functions that a resolved configuration trains with."""
+
+    def __init__(self, config: TrainConfig, motion: ReferenceMotion) -> None:
+        """Make the environment; on MuJoCo C, `watch` counts the time in `physics` and `learner`."""
+        self.config, self.watch = config, Stopwatch()
+        # Where each part of a `RunState` belongs, if there is a choice.
+        self._places: Any = None
+        update = partial(learner.update, config.ppo)
+        model_hz = config.physics_hz or TRAINING_HZ[config.physics]
+        disturbance, damping = config.walk.disturbance, config.walk.damping
+        max_delay = disturbance.delay_steps(model_hz)
+        _, speeds = speed_factors(config.speed)
+        if config.physics == "mjx":
+            physics = MjxPhysics(load_mjx_model(replace(MJX_TRAINING, physics_hz=model_hz)), max_delay, damping)
+            self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots, speeds)
+            self.collect = partial(rollout.collect, self.env.step, config.ppo)
+            if jax.device_count() > 1:
+                self.collect, update = devices.on_all(self.collect, update)
+                same: Any = devices.same_everywhere()
+                self._places = RunState(same, devices.split_by_robot(), same)
+            # One compiled call an iteration. Left to itself, XLA moves empty arrays, and the next call compiles again.
+            self.iterate = jax.jit(partial(iterate, self.collect, update), out_shardings=(self._places, None))
+        else:
+            model = load_model(ModelConfig(physics_hz=model_hz, scene="terrain" if disturbance.terrain_m else "flat"))
+            physics = _TimedPhysics(NativePhysics(model, max_delay, damping=damping), self.watch)
+            self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots, speeds)
+            self.collect = partial(rollout.collect_on_host, self.env.step, config.ppo)
+            self.iterate = partial(iterate, self.collect, self.watch.timed("learner", update))
+
+    @property
+    def physics_steps(self) -> int:
+        """Physics steps of all robots in one iteration."""
+        return self.config.ppo.num_samples * steps_per_control(round(1 / self.env.physics.model.opt.timestep))
+
+    def start(self, policy: Policy | None = None) -> RunState:
+        """An untrained learner, or one with this policy, and robots at the start of an episode.
+
+        Without a policy the learner knows no input statistics yet; see `gather_statistics`.
+        """
+        init_key, reset_key, _, run_key = self._keys()
+        env_state = self.env.reset(reset_key)
+        sizes = (observation.SIZE, cassie.NU, env_state.privileged.shape[-1])
+        state = learner.init(init_key, self.config.ppo, *sizes)
+        if policy is not None:
+            state = state._replace(policy=policy._replace(std=state.policy.std))
+        if self.config.physics == "mjx":
+            env_state = jax.tree.map(jnp.asarray, env_state)
+        return self._placed(RunState(state, env_state, jax.random.key_data(run_key)))
+
+    def gather_statistics(self, run: RunState) -> RunState:
+        """The run with the input statistics of the states that a random policy visits."""
+        _, _, statistics_key, _ = self._keys()
+        policy, samples = run.learner.policy, self.config.ppo.normalizer_samples
+        normalizer = rollout.random_policy_statistics(self.collect, policy, run.env, statistics_key, samples)
+        return self._placed(run._replace(learner=run.learner._replace(policy=policy._replace(normalizer=normalizer))))
+
+    def _placed(self, run: RunState) -> RunState:
+        return run if self._places is None else jax.device_put(run, self._places)
+
+    def replay(self, before: RunState) -> divergence.Divergence | None:
+        """What led to the first divergence of the physics in the iteration that began with `before`.
+
+        Every process must call it, and finds the same.
+        """
+        before = before._replace(learner=devices.own_copy(before.learner), key=devices.own_copy(before.key))
+        collect_key, _ = iteration_keys(before)
+        shares = [(before.env, collect_key)] if self._places is None else devices.shares(before.env, collect_key)
+        found = (divergence.replay(self.env, self.config.ppo, before.learner.policy, *share) for share in shares)
+        return next(filter(None, found), None)
+
+    def _keys(self) -> jax.Array:
+        return jax.random.split(jax.random.key(self.config.seed), 4)
+
+
+def iterate(
+    collect: rollout.Collect, update: Callable[..., tuple[LearnerState, UpdateMetrics]], run: RunState
+) -> tuple[RunState, IterationMetrics]:
+    """Collect experience with the present policy and learn from it."""
+    collect_key, update_key = iteration_keys(run)
+    env_state, experience = collect(run.learner.policy, run.env, collect_key)
+    state, metrics = update(run.learner, experience, update_key)
+    ends = {name: experience.metrics[name].sum() for name in ENDS}
+    return RunState(state, env_state, run.key), IterationMetrics(metrics, ends)
+
+
+def iteration_keys(run: RunState) -> jax.Array:
+    """The keys of the iteration that begins with `run`: to collect with, and to update with."""
+    return jax.random.split(jax.random.fold_in(jax.random.wrap_key_data(run.key), run.learner.iteration))
+
+
+class _TimedPhysics:
+    """An engine whose time in `advance` is counted under "physics"."""
+
+    def __init__(self, physics: NativePhysics, watch: Stopwatch) -> None:
+        self.model, self.max_delay, self.damping = physics.model, physics.max_delay, physics.damping
+        self.init, self.bodies = physics.init, physics.bodies
+        self.advance = watch.timed("physics", physics.advance)
