@@ -15,7 +15,8 @@ from rich.table import Table
 
 from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
-from cassie_mjx.evaluation.suites import ALL, ENGINES, SUITES, Setting
+from cassie_mjx.evaluation.suites import ALL, SUITES, EvalSetup
+from cassie_mjx.physics.make import ENGINES
 
 
 @dataclass(frozen=True)
@@ -43,22 +44,22 @@ def main(config: EvaluateConfig) -> None:
     """Measure, show each suite's figures as it ends, and write the result."""
     out = cli.check_writable(config.out)
     console = Console(stderr=True)
-    subject = config.subject()
+    agent = config.agent()
     rows: list[dict[str, Any]] = []
     cells: dict[str, Any] = {}
     seconds: dict[str, float] = {}
     for suite in ALL if config.suite == "all" else (config.suite,):
         began = time.perf_counter()
         with console.status(f"{suite}: walking up to speed") as status:
-            watch = partial(_show, status, suite)
-            findings = SUITES[suite](subject, Setting(config.physics, config.long, watch))
+            progress = partial(_show, status, suite)
+            result = SUITES[suite](agent, EvalSetup(config.physics, config.long, progress))
         seconds[suite] = round(time.perf_counter() - began, 1)
-        found = [{"subject": subject.name, **figure._asdict()} for figure in findings.figures]
-        console.print(table(f"{subject.name}: {suite}", found))
+        found = [{"subject": agent.name, **metric._asdict()} for metric in result.metrics]
+        console.print(table(f"{agent.name}: {suite}", found))
         rows += found
-        if findings.cells is not None:
-            cells[suite] = findings.cells
-    provenance = cli.provenance(**asdict(config), subject=dict(subject.provenance), seconds=seconds)
+        if result.cells is not None:
+            cells[suite] = result.cells
+    provenance = cli.provenance(**asdict(config), subject=dict(agent.provenance), seconds=seconds)
     cli.write_json(out, {"rows": rows, **cells, "provenance": provenance})
 
 

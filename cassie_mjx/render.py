@@ -10,7 +10,15 @@ from rich.progress import track
 
 from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
-from cassie_mjx.evaluation.draw import CAMERAS, ENCODINGS, FASTEST_GIF, draw, load_scene, open_renderer, write_video
+from cassie_mjx.evaluation.draw import (
+    CAMERAS,
+    ENCODINGS,
+    FASTEST_GIF,
+    draw_frames,
+    load_scene,
+    open_renderer,
+    write_video,
+)
 from cassie_mjx.evaluation.film import film
 from cassie_mjx.evaluation.trial import Trial
 from cassie_mjx.robot.model import ModelConfig
@@ -73,15 +81,15 @@ class RenderConfig(AgentConfig):
 def main(config: RenderConfig) -> None:
     """Film the walk, and say how it went."""
     cli.check_writable(config.out)
-    subject, console = config.subject(), Console(stderr=True)
+    agent, console = config.agent(), Console(stderr=True)
     with open_renderer(load_scene(config.terrain), config.width, config.height) as renderer:
         with console.status("walking"):
-            shots = list(film(subject, config.trial, config.phase, config.push_at, config.fps))
+            shots = list(film(agent, config.trial, config.phase, config.push_at, config.fps))
         drawn = track(shots, "drawing", console=console, transient=True)
-        frames = draw(renderer, drawn, config.camera, config.terrain)
+        frames = draw_frames(renderer, drawn, config.camera, config.terrain)
         write_video(Path(config.out), frames, config.width, config.height, config.fps)
     fell_s = shots[-1].fell_s
-    console.print(f"{config.out}: {subject.name} {'stayed up' if fell_s is None else f'fell after {fell_s:.2f} s'}.")
+    console.print(f"{config.out}: {agent.name} {'stayed up' if fell_s is None else f'fell after {fell_s:.2f} s'}.")
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ def main(config: ViewConfig) -> None:
     """Open the viewer, and walk until its window is closed or Ctrl-C is typed."""
     if sys.platform != "darwin":
         check_screen()
-    live = Live(config.subject(), config.terrain)
+    live = Live(config.agent(), config.terrain)
     try:
         window = mujoco.viewer.launch_passive(live.model, live.data, show_left_ui=False, show_right_ui=False)
     except RuntimeError as error:

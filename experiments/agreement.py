@@ -18,7 +18,7 @@ from rich.console import Console
 from cassie_mjx import cli
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.loops import loop_error
 from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model, load_model, servo_model, standing
@@ -107,8 +107,8 @@ def compare_motion(config: AgreementConfig, speed: float) -> list[dict[str, Any]
     ours = x.init(qpos.astype(np.float32), qvel.astype(np.float32))
     rows = []
     for step in range(1, 11):
-        theirs = c.advance(theirs, targets, Disturbance.none(config.robots), 32)
-        ours = x.advance(ours, targets, Disturbance.none(config.robots), 32)
+        theirs = c.advance(theirs, targets, Scenario.nominal(config.robots), 32)
+        ours = x.advance(ours, targets, Scenario.nominal(config.robots), 32)
         if step in (1, 10):
             difference = np.abs(np.asarray(ours.qpos) - theirs.qpos)
             rows.append(

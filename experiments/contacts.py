@@ -15,12 +15,14 @@ from rich.console import Console
 from cassie_mjx import cli
 from cassie_mjx.agents.heuristic import HeuristicAgent
 from cassie_mjx.envs.scenario import PUSH_S
-from cassie_mjx.evaluation.steady import walked
+from cassie_mjx.envs.termination import fallen
+from cassie_mjx.evaluation.steady import steady, walk_on
 from cassie_mjx.evaluation.suites import DIRECTIONS, LIMIT_PHASES
-from cassie_mjx.evaluation.trial import Trial, disturbances, fallen, placed
+from cassie_mjx.evaluation.trial import Trial, placed, scenario_of
 from cassie_mjx.heuristic.config import CONTROLLERS
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.robot.model import CONTROL_PERIOD_S, WALKING_PAIRS, ModelConfig, load_model
+from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
+from cassie_mjx.robot.model import WALKING_PAIRS, ModelConfig, load_model
 
 FAR_M = 0.5
 
@@ -40,15 +42,15 @@ class ContactsConfig:
 def trajectories(name: str, push_n: float, seconds: float) -> np.ndarray:
     """Qpos [samples, 35], every 32 ms, of a controller's robots that stay up."""
     physics = NativePhysics(load_model(ModelConfig(contacts="published")))
-    subject = HeuristicAgent(name)
-    starts = subject.start(physics, LIMIT_PHASES)
+    agent = HeuristicAgent(name)
+    starts = steady(agent, physics, LIMIT_PHASES)
     phases = range(len(LIMIT_PHASES))
     trials = [Trial(k, seconds, push=(push_n * x, push_n * y)) for x, y in DIRECTIONS.values() for k in phases]
-    walker = placed(subject, starts, trials)
-    disturbance = disturbances(trials, walker.physics, round(PUSH_S / physics.model.opt.timestep))
-    every, calls = (round(time / subject.period_s) for time in (CONTROL_PERIOD_S, seconds))
-    walk = islice(walked(subject, physics, walker, disturbance), 0, calls, every)
-    qpos = np.array([walker.physics.qpos for walker in walk])
+    robots = placed(agent, starts, trials)
+    scenario = scenario_of(agent, trials, robots.physics, round(PUSH_S / physics.model.opt.timestep))
+    every, calls = (round(time / agent.period_s) for time in (CONTROL_PERIOD_S, seconds))
+    walk = islice(walk_on(agent, physics, robots, scenario), 0, calls, every)
+    qpos = np.array([moment.physics.qpos for moment in walk])
     up = ~fallen(qpos, np.zeros(len(trials))).any(axis=0)
     return qpos[:, up].reshape(-1, qpos.shape[-1])
 

@@ -15,13 +15,11 @@ from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
-from cassie_mjx.agents.policy import PolicyAgent
-from cassie_mjx.envs.walk import WalkConfig, WalkEnv
-from cassie_mjx.evaluation.returns import EPISODE_STEPS, STARTS, walk_returns
-from cassie_mjx.physics.mjx import MjxPhysics
-from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.agents.policy import saved_agent
+from cassie_mjx.evaluation.returns import walk_returns
+from cassie_mjx.physics.make import make_physics
 from cassie_mjx.physics.types import Physics
-from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_mjx_model, load_model, steps_per_control
+from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, steps_per_control
 
 
 @dataclass(frozen=True)
@@ -47,12 +45,10 @@ class EnginesConfig:
             steps_per_control(rate)
 
 
-def engines(rate: int, damping: float) -> dict[str, Physics]:
-    """Both engines at a physics rate, with a factor on the D gains."""
-    return {
-        "native": NativePhysics(load_model(ModelConfig(physics_hz=rate)), damping=damping),
-        "mjx": MjxPhysics(load_mjx_model(replace(MJX_TRAINING, physics_hz=rate)), damping=damping),
-    }
+def engines(rate: int) -> dict[str, Physics]:
+    """Both engines at a physics rate."""
+    models = {"native": ModelConfig(physics_hz=rate), "mjx": replace(MJX_TRAINING, physics_hz=rate)}
+    return {engine: make_physics(engine, model) for engine, model in models.items()}
 
 
 def main(config: EnginesConfig) -> None:
@@ -60,12 +56,10 @@ def main(config: EnginesConfig) -> None:
     out = cli.check_writable(config.out)
     policies = {run: NumpyPolicy.load(Path(run) / "best.npz") for run in config.runs}
     held = {run: json.loads((Path(run) / "config.json").read_text()) for run in config.runs}
-    walkers = {run: PolicyAgent(run, policy) for run, policy in policies.items()}
+    agents = {run: saved_agent(run, policy) for run, policy in policies.items()}
     rows: list[dict[str, Any]] = []
-    for rate, damping in product(config.rates, sorted({walker.damping for walker in walkers.values()})):
-        task = WalkConfig(episode_steps=EPISODE_STEPS, damping=damping).to_the_fall()
-        alike = {run: walker for run, walker in walkers.items() if walker.damping == damping}
-        for (engine, physics), (run, walker) in product(engines(rate, damping).items(), alike.items()):
+    for rate in config.rates:
+        for (engine, physics), (run, agent) in product(engines(rate).items(), agents.items()):
             trained = held[run]["config"]
             row = {
                 "policy": run,
@@ -75,7 +69,7 @@ def main(config: EnginesConfig) -> None:
                 "walks_on": engine,
                 "physics_hz": rate,
             }
-            returns = walk_returns(policies[run], WalkEnv(physics, walker.motion, task, STARTS))
+            returns = walk_returns(agent, physics)
             rows.append(row | {name: round(value, 2) for name, value in returns.items()})
             Console(stderr=True).print(rows[-1])
     origins = {run: policy.provenance for run, policy in policies.items()}

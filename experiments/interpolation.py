@@ -21,13 +21,14 @@ from cassie_mjx.agents import blending
 from cassie_mjx.agents.blend import BlendAgent
 from cassie_mjx.agents.make import make_policy_agent
 from cassie_mjx.agents.policy import PolicyAgent
+from cassie_mjx.envs.termination import fallen
 from cassie_mjx.evaluation import suites
-from cassie_mjx.evaluation.steady import walked
-from cassie_mjx.evaluation.suites import Setting
-from cassie_mjx.evaluation.trial import fallen
+from cassie_mjx.evaluation.steady import steady, walk_on
+from cassie_mjx.evaluation.suites import EvalSetup
 from cassie_mjx.motion.reference import RAMP_PER_S
-from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.robot.model import CONTROL_PERIOD_S, ModelConfig, load_model
+from cassie_mjx.physics.make import make_physics
+from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
+from cassie_mjx.robot.model import ModelConfig
 
 STARTS = 20
 
@@ -72,7 +73,7 @@ class Ride(NamedTuple):
         """`measured_mps` of the robots that did not fall."""
         return self.measured_mps[~self.fell]
 
-    def rows(self, subject: str) -> list[dict[str, Any]]:
+    def rows(self, agent: str) -> list[dict[str, Any]]:
         """Starts without a fall, and of those the speed's range and error over the whole time."""
         up, n = self.up_mps, len(self.fell)
         figures = [("starts_up", float(len(up)), f"of {n}")]
@@ -81,7 +82,7 @@ class Ride(NamedTuple):
             low, high = up.mean(axis=0).min(), up.mean(axis=0).max()
             names = ("speed_error_rms_mps", "lowest_speed_mps", "highest_speed_mps")
             figures += [(name, float(value), "m/s") for name, value in zip(names, (error, low, high), strict=True)]
-        return [{"subject": subject, "quantity": name, "value": v, "unit": unit, "n": n} for name, v, unit in figures]
+        return [{"subject": agent, "quantity": name, "value": v, "unit": unit, "n": n} for name, v, unit in figures]
 
     def curve(self) -> dict[str, list[float]]:
         """What the picture shows, every 0.128 s: commanded speed, and mean, least and greatest of the robots up."""
@@ -93,14 +94,14 @@ class Ride(NamedTuple):
 
 def ride(blend: BlendAgent, starts: int = STARTS) -> Ride:
     """Blend up and down once, from `starts` phases of the stride."""
-    physics = NativePhysics(load_model(ModelConfig()), damping=blend.damping)
+    physics = make_physics("native", ModelConfig())
     seconds = 2 * ((len(blend.policies) - 1) / RAMP_PER_S + blending.HOLD_S)
     fell, x, commanded_x = np.zeros(starts, bool), [], [0.0]
-    walk = walked(blend, physics, blend.start(physics, np.arange(starts) / starts))
-    for state, memory in islice(walk, round(seconds / blend.period_s) + 1):
+    walk = walk_on(blend, physics, steady(blend, physics, np.arange(starts) / starts))
+    for state, carry in islice(walk, round(seconds / blend.period_s) + 1):
         fell |= fallen(state.qpos, np.zeros(starts))
         x.append(state.qpos[:, 0])
-        gain = blending.advance(blend.motions, blend.position(memory), memory.phase + 1)
+        gain = blending.advance(blend.motions, blend.position(carry), carry.phase + 1)
         commanded_x.append(commanded_x[-1] + float(np.mean(gain)))
     return Ride.of(commanded_x[:-1], x, fell, len(blend.motions[0].qpos))
 
@@ -108,9 +109,9 @@ def ride(blend: BlendAgent, starts: int = STARTS) -> Ride:
 def rough_ground(policies: Sequence[PolicyAgent]) -> list[dict[str, Any]]:
     """Rows of the terrain that policies and their adaptive blend survive."""
     return [
-        {"subject": walker.name, **figure._asdict()}
-        for walker in (*policies, BlendAgent(policies, "adaptive"))
-        for figure in suites.terrain(walker, Setting()).figures
+        {"subject": agent.name, **metric._asdict()}
+        for agent in (*policies, BlendAgent(policies, "adaptive"))
+        for metric in suites.terrain(agent, EvalSetup()).metrics
     ]
 
 

@@ -21,8 +21,8 @@ from rich.console import Console
 from rich.table import Table
 
 from cassie_mjx import cli
-from cassie_mjx.envs.scenario import DisturbanceConfig
-from cassie_mjx.envs.walk import WalkConfig
+from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.envs.scenario import ScenarioConfig
 from cassie_mjx.training import checkpoint
 from cassie_mjx.training.config import PRESETS, TrainConfig
 from cassie_mjx.training.run_directory import comparable
@@ -72,8 +72,8 @@ ACTOR, CRITIC = "ppo.actor_learning_rate", "ppo.critic_learning_rate"
 PAPER = {
     "ppo": "paper",
     "walk.reward": "plain",
-    "walk.early_end_reward": "0.6",
-    "walk.x_limit_m": "null",
+    "walk.min_reward": "0.6",
+    "walk.max_position_error_m": "null",
     "walk.start_velocity_mps": "0",
     ACTOR: "1e-3",
     CRITIC: "1e-2",
@@ -81,8 +81,8 @@ PAPER = {
 DEFAULT = Variant("1x", {})
 ROBUST = {"walk": "robust", "ppo.final_action_std": "0.05"}
 GENTLER = {
-    "walk.disturbance.push_n": "250",
-    "walk.disturbance.push_backward": "0.7",
+    "walk.scenario.push_n": "250",
+    "walk.scenario.push_backward": "0.7",
     "ppo.action_std": "0.05",
     "ppo.iterations": "750",
 }
@@ -92,14 +92,14 @@ OTHER_SPEEDS = tuple(Variant(speed, {"speed": speed, "init": "1x"}) for speed in
 LATER = {"init": None, "ppo.privileged_critic": False, "ppo.final_action_std": None}
 LATER |= {
     "walk.symmetric": False,
-    "walk.x_limit_m": None,
-    "walk.damping": 1.0,
+    "walk.max_position_error_m": None,
+    "walk.kd_scale": 1.0,
     "walk.start_velocity_mps": 0,
     "walk.start_offset_m": 0,
 }
 # What means nothing to robots of one speed, as all of those runs have.
 LATER |= {"walk.command_s": WalkConfig().command_s}
-LATER |= {f"walk.disturbance.{name}": value for name, value in vars(DisturbanceConfig()).items()}
+LATER |= {f"walk.scenario.{name}": value for name, value in vars(ScenarioConfig()).items()}
 """How runs were trained whose configuration does not name these yet."""
 
 STUDIES = {
@@ -130,7 +130,7 @@ STUDIES = {
         Variant("paper-tenth", PAPER | {ACTOR: "1e-4", CRITIC: "1e-3"}),
         Variant("paper-tenth-actor", PAPER | {ACTOR: "1e-4"}, (0,)),
         Variant("paper-tenth-critic", PAPER | {CRITIC: "1e-3"}, (0,)),
-        Variant("paper-no-early-end", PAPER | {"walk.early_end_reward": "null"}, (0,)),
+        Variant("paper-no-early-end", PAPER | {"walk.min_reward": "null"}, (0,)),
         Variant("paper-normalized-advantage", PAPER | {"ppo.normalize_advantage": "true"}, (0,)),
         Variant("paper-output-scale-1", PAPER | {"ppo.actor_output_scale": "1.0"}, (0,)),
         Variant("paper-std-0.018", PAPER | {"ppo.action_std": "0.018"}, (0,)),
@@ -201,7 +201,7 @@ def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
     """What a finished run did: its configuration, curve, returns, and samples and seconds to the goal.
 
     The returns are those of the policy that training keeps: the best by the reward that it learned from or, under
-    disturbances, the last.
+    scenario_of, the last.
 
     Raises:
       ValueError: it was trained with other settings than the variant's, in whatever point, or is not finished.
@@ -211,10 +211,8 @@ def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
     curve = {name: [_rounded(line[key]) for line in lines] for name, key in COLUMNS.items() if key in lines[0]}
     settings = expected(variant, seed, folder.parent)
     learned_from = curve[f"return_{settings['walk.reward']}"]
-    disturbance = DisturbanceConfig(
-        **{name: settings[f"walk.disturbance.{name}"] for name in vars(DisturbanceConfig())}
-    )
-    kept = len(lines) - 1 if disturbance.active else learned_from.index(max(learned_from))
+    scenario = ScenarioConfig(**{name: settings[f"walk.scenario.{name}"] for name in vars(ScenarioConfig())})
+    kept = len(lines) - 1 if scenario.active else learned_from.index(max(learned_from))
     return {
         "variant": variant.name,
         "seed": seed,

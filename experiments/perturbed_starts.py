@@ -13,7 +13,8 @@ from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents.heuristic import HeuristicAgent
-from cassie_mjx.evaluation.scheduler import fly
+from cassie_mjx.evaluation.scheduler import run_trials
+from cassie_mjx.evaluation.steady import begin
 from cassie_mjx.evaluation.trial import EpisodeResult, Trial
 from cassie_mjx.heuristic.config import CONTROLLERS
 from cassie_mjx.physics.native import NativePhysics
@@ -76,9 +77,9 @@ def perturbed(config: PerturbedConfig, physics: NativePhysics) -> tuple[np.ndarr
 
 def walk(name: str, config: PerturbedConfig) -> EpisodeResult:
     """How the walker `name` of `CONTROLLERS` did from each of the starts, [robots]."""
-    physics, subject = NativePhysics(load_model(ModelConfig())), HeuristicAgent(name)
-    starts = subject.begin(physics, *perturbed(config, physics))
-    return fly(subject, physics, starts, [Trial(k, config.seconds) for k in range(config.robots)])
+    physics, agent = NativePhysics(load_model(ModelConfig())), HeuristicAgent(name)
+    starts = begin(agent, physics, *perturbed(config, physics))
+    return run_trials(agent, physics, starts, [Trial(k, config.seconds) for k in range(config.robots)])
 
 
 def figures(result: EpisodeResult) -> list[tuple[str, float, str]]:

@@ -17,17 +17,18 @@ from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents.heuristic import HeuristicAgent
+from cassie_mjx.envs.termination import fallen
 from cassie_mjx.evaluation.draw import load_scene, open_renderer
-from cassie_mjx.evaluation.steady import walked
-from cassie_mjx.evaluation.trial import fallen
+from cassie_mjx.evaluation.steady import begin, walk_on
 from cassie_mjx.heuristic.config import CONTROLLERS
 from cassie_mjx.motion.files import save_motion
 from cassie_mjx.motion.recording import heading_x, make_periodic, velocity_error
 from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
 from cassie_mjx.robot.loops import loop_error
-from cassie_mjx.robot.model import CONTROL_PERIOD_S, ModelConfig, load_model
+from cassie_mjx.robot.model import ModelConfig, load_model
 
 STRIDE_M, STRIDE_TOLERANCE_M = 0.5, 0.02
 FRAMES, FRAME_HEIGHT, FRAME_WIDTH = 8, 300, 190
@@ -68,10 +69,11 @@ def walk(config: RecordConfig, physics: NativePhysics) -> tuple[np.ndarray, np.n
       first of the next, for the B speeds.
     """
     aims = replace(CONTROLLERS[config.preset], speed=np.array(config.speeds, np.float32))
-    subject = HeuristicAgent(config.preset, aims)
-    first = subject.calls_before(config.strides)
-    walk = walked(subject, physics, subject.stand(physics, len(config.speeds)))
-    stride = [walker.physics for walker in islice(walk, first, first + subject.stride_calls + 1)]
+    agent = HeuristicAgent(config.preset, aims)
+    first = agent.acts_before(config.strides)
+    starts = begin(agent, physics, *agent.initial_state(len(config.speeds)))
+    walk = walk_on(agent, physics, starts)
+    stride = [robots.physics for robots in islice(walk, first, first + agent.stride_acts + 1)]
     return np.array([state.qpos for state in stride]), np.array([state.qvel for state in stride])
 
 

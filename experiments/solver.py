@@ -16,7 +16,7 @@ from rich.console import Console
 from cassie_mjx import cli
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Disturbance, Physics
+from cassie_mjx.physics.types import Physics, Scenario
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.loops import loop_error
 from cassie_mjx.robot.model import ModelConfig, load_mjx_model, load_model, standing, steps_per_control
@@ -46,7 +46,7 @@ def measure(config: SolverConfig, engine: str, model: ModelConfig, physics: Phys
     targets = swinging_targets(config.robots, config.control_steps, config.seed).astype(dtype)
     qpos = np.tile(standing(physics.model), (config.robots, 1)).astype(dtype)
     start = physics.init(qpos, np.zeros((config.robots, cassie.NV), dtype))
-    undisturbed = Disturbance.none(config.robots)
+    undisturbed = Scenario.nominal(config.robots)
 
     def walk() -> Iterator[np.ndarray]:
         state = start
@@ -74,7 +74,7 @@ def measure(config: SolverConfig, engine: str, model: ModelConfig, physics: Phys
 
 
 def main(config: SolverConfig) -> None:
-    """Measure every setting and write the table."""
+    """Measure every setup and write the table."""
     out = cli.check_writable(config.out)
     console = Console(stderr=True)
     rows = []

@@ -5,12 +5,11 @@ that commands another speed every 2 s for a minute, to which the reference moves
 MuJoCo C at 2 kHz. How they learn, `experiments.learning study=learning_speeds` shows.
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
@@ -19,21 +18,24 @@ from cassie_mjx import cli
 from cassie_mjx.agents import blending
 from cassie_mjx.agents.make import make_policy_agent
 from cassie_mjx.agents.policy import PolicyAgent
-from cassie_mjx.envs import command as clock
-from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.agents.types import AgentState, Sensed
+from cassie_mjx.envs.termination import fallen
 from cassie_mjx.evaluation import suites
-from cassie_mjx.evaluation.suites import Setting
-from cassie_mjx.evaluation.trial import Measured
-from cassie_mjx.motion.reference import MAX_STRETCH, nearest_sample
-from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Disturbance
-from cassie_mjx.robot.model import CONTROL_PERIOD_S, ModelConfig, load_model
+from cassie_mjx.evaluation.simulate import act_steps, simulate
+from cassie_mjx.evaluation.suites import EvalSetup
+from cassie_mjx.evaluation.trial import Metric
+from cassie_mjx.motion.command import FASTEST, Command
+from cassie_mjx.motion.reference import RAMP_PER_S, mean_speed, nearest_sample, sample
+from cassie_mjx.physics.make import make_physics
+from cassie_mjx.physics.types import Scenario
+from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X
+from cassie_mjx.robot.model import ModelConfig
 from experiments import learning
 from experiments.interpolation import STARTS, Ride
 
 VARIANTS = {variant.name: variant for variant in (learning.DEFAULT, *learning.OTHER_SPEEDS)}
 """How the policies of one speed are trained."""
-COMMANDS = np.linspace(0, MAX_STRETCH, 20)
+COMMANDS = np.linspace(0, FASTEST, 20)
 CHANGE_S, PROFILE_S = 2.0, 60.0
 
 
@@ -91,35 +93,44 @@ def single_speeds(config: SpeedsConfig) -> list[tuple[dict[str, Any], PolicyAgen
 
 def keep(policy: PolicyAgent) -> list[dict[str, Any]]:
     """Figures of ten walks of 10 s at the policy's speed, the reference's own speed among them."""
-    commanded = Measured("commanded_mps", blending.mean_speed(policy.motion), "m/s", len(suites.WALK_PHASES))
-    return [figure._asdict() for figure in (commanded, *suites.walk(policy, Setting()).figures)]
+    commanded = Metric("commanded_mps", blending.mean_speed(policy.motion), "m/s", len(suites.WALK_PHASES))
+    return [figure._asdict() for figure in (commanded, *suites.walk(policy, EvalSetup()).figures)]
 
 
 def profile(seed: int) -> np.ndarray:
     """Factors on the motion's speed, one a control step: another from 0x to 4x every 2 s for 60 s."""
-    factors = np.random.default_rng(seed).uniform(0, MAX_STRETCH, round(PROFILE_S / CHANGE_S))
+    factors = np.random.default_rng(seed).uniform(0, FASTEST, round(PROFILE_S / CHANGE_S))
     time = CONTROL_PERIOD_S * np.arange(round(PROFILE_S / CONTROL_PERIOD_S))
     return factors[(time / CHANGE_S).astype(int)]
 
 
 def follow(policy: PolicyAgent, factors: np.ndarray, starts: int = STARTS) -> Ride:
     """Walk from `starts` phases of the stride, commanded a factor [T] on the motion's speed at every control step."""
-    task = WalkConfig(episode_steps=len(factors) + 1, damping=policy.damping).to_the_fall()
-    env = WalkEnv(NativePhysics(load_model(ModelConfig()), damping=policy.damping), policy.motion, task, starts)
-    phase = nearest_sample(np.arange(starts) / starts, env.samples) % env.samples
-    state = env.reset_at(phase, Disturbance.none(starts), np.full(starts, factors[0]))
-    fell, x, commanded_x = np.zeros(starts, bool), [state.physics.qpos[:, 0]], [0.0]
-    speed, speed_mps = state.clock.speed, blending.mean_speed(policy.motion)
+    physics = make_physics("native", ModelConfig())
+    samples, own_mps = policy.stride_acts, np.float32(mean_speed(policy.motion))
+    told = own_mps * approached(factors)
+    time = (nearest_sample(np.arange(starts) / starts, samples) % samples).astype(np.int32)
+    qpos, qvel = sample(policy.motion, time, Command(np.full(starts, told[0], np.float32)))
+    state = physics.init(np.asarray(qpos, float), np.asarray(qvel, float))
+    robots = AgentState(state, policy.init(Sensed(state.qpos, state.qvel), time))
+    scenario = Scenario.nominal(starts, kd_scale=np.asarray(policy.kd_scale))
+    steps = act_steps(policy, physics)
+    commands = (Command(np.full(starts, speed, np.float32)) for speed in told)
+    stops = range(0, steps * len(told) + 1, steps)
+    walk = simulate(policy, physics, robots, scenario, stops, commands)
+    qpos = np.array([moment.robots.physics.qpos for moment in walk])
+    fell = fallen(qpos, np.zeros(starts)).any(axis=0)
+    commanded_x = np.append(0, np.cumsum(told * CONTROL_PERIOD_S))
+    return Ride.of(commanded_x.tolist(), list(qpos[..., PELVIS_X]), fell, samples)
+
+
+def approached(factors: np.ndarray) -> np.ndarray:
+    """Factors [T] that follow those commanded at the pace of training, 0.625 a second, from the first one on."""
+    step, now, reached = RAMP_PER_S * CONTROL_PERIOD_S, factors[0], []
     for factor in factors:
-        # The command is seen in the observation that this step leads to.
-        told = replace(state.clock, speed=speed, command=np.full(starts, factor, np.float32))
-        state = replace(state, clock=clock.paced(env.motion, told))
-        speed = state.clock.speed
-        state = env.step(state, policy.mode(state.observation), jax.random.key(0))
-        fell |= np.asarray(state.terminated)
-        x.append(state.physics.qpos[:, 0])
-        commanded_x.append(commanded_x[-1] + float(speed[0]) * speed_mps * CONTROL_PERIOD_S)
-    return Ride.of(commanded_x, x, fell, env.samples)
+        now += np.clip(factor - now, -step, step)
+        reached.append(now)
+    return np.array(reached, np.float32)
 
 
 def draw(path: Path, rows: list[dict[str, Any]], walk: Ride | None) -> None:
@@ -143,17 +154,17 @@ def main(config: SpeedsConfig) -> None:
     """Walk, write the result and draw it."""
     paths = [cli.check_writable(path) for path in (config.out, config.plot) if path]
     console, rows, walk = Console(stderr=True), [], None
-    walkers = single_speeds(config)
-    origins = {policy.name: policy.provenance for _, policy in walkers}
+    agents = single_speeds(config)
+    origins = {policy.name: policy.provenance for _, policy in agents}
     if config.any_speed:
         free = make_policy_agent(config.any_speed)
         told = [make_policy_agent(config.any_speed, f"{factor:.3g}x") for factor in COMMANDS]
-        walkers += [({"subject": policy.name}, policy) for policy in told]
+        agents += [({"subject": policy.name}, policy) for policy in told]
         origins[free.name] = free.provenance
         walk = follow(free, profile(config.profile_seed))
         rows += walk.rows(f"{config.any_speed} profile")
-    for whose, walker in walkers:
-        figures = keep(walker)
+    for whose, agent in agents:
+        figures = keep(agent)
         rows += [whose | figure for figure in figures]
         console.print(*whose.values(), {figure["quantity"]: round(figure["value"], 3) for figure in figures})
     provenance = cli.provenance(**asdict(config), subject=origins)

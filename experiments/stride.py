@@ -18,7 +18,8 @@ from cassie_mjx.evaluation.trial import Trial
 from cassie_mjx.motion.reference import ReferenceMotion, sample
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.robot import cassie
-from cassie_mjx.robot.model import CONTROL_PERIOD_S, ModelConfig, load_model
+from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
+from cassie_mjx.robot.model import ModelConfig, load_model
 from experiments.record_reference import foot_points
 
 STRIDES = 8
@@ -44,8 +45,7 @@ def walked(policy: PolicyAgent, control_steps: int) -> np.ndarray:
 
 def reference(motion: ReferenceMotion, control_steps: int) -> np.ndarray:
     """Qpos [control_steps + 1, 35] of the motion, repeated."""
-    stride, phase = np.divmod(np.arange(control_steps + 1), len(motion.qpos))
-    return np.asarray(sample(motion, phase, stride)[0], float)
+    return np.asarray(sample(motion, np.arange(control_steps + 1))[0], float)
 
 
 def joint_angles(qpos: np.ndarray) -> dict[str, dict[str, list[float]]]:

@@ -13,7 +13,8 @@ from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
-from cassie_mjx.evaluation.scheduler import fly
+from cassie_mjx.agents.types import Agent
+from cassie_mjx.evaluation.scheduler import run_trials
 from cassie_mjx.evaluation.suites import (
     HIGHEST_TERRAIN_M,
     LIMIT_PHASES,
@@ -21,9 +22,9 @@ from cassie_mjx.evaluation.suites import (
     TERRAIN_STEP_M,
     WALK_PHASES,
     WALK_S,
-    Setting,
+    EvalSetup,
 )
-from cassie_mjx.evaluation.trial import Subject, Trial
+from cassie_mjx.evaluation.trial import Trial
 
 DELAY_STEP_MS = 1.0
 
@@ -36,29 +37,29 @@ class SurvivalConfig(AgentConfig):
     """Result file."""
 
 
-def terrain(subject: Subject, setting: Setting) -> list[dict[str, Any]]:
+def terrain(agent: Agent, setup: EvalSetup) -> list[dict[str, Any]]:
     """The share of 8 starts that walk 10 s over the terrain z = h sin x, h from 0 to 0.4 m."""
     levels = np.arange(0, HIGHEST_TERRAIN_M + TERRAIN_STEP_M / 2, TERRAIN_STEP_M).round(9).tolist()
     trials = [Trial(start, WALK_S, terrain=h) for h in levels for start in range(len(LIMIT_PHASES))]
-    starts = setting.starts(subject, LIMIT_PHASES)
-    result = fly(subject, setting.physics(subject, "terrain"), starts, trials, setting.watch, setting.lanes)
-    return rows(subject.name, "terrain_survived", "m", levels, ~result.fell)
+    starts = setup.starts(agent, LIMIT_PHASES)
+    result = run_trials(agent, setup.physics("terrain"), starts, trials, setup.progress, setup.num_envs)
+    return rows(agent.name, "terrain_survived", "m", levels, ~result.fell)
 
 
-def delay(subject: Subject, setting: Setting) -> list[dict[str, Any]]:
+def delay(agent: Agent, setup: EvalSetup) -> list[dict[str, Any]]:
     """The share of 10 starts that walk 10 s sensing what was up to 20 ms ago."""
-    physics = setting.physics(subject, longest_delay_s=LONGEST_DELAY_S)
+    physics = setup.physics(longest_delay_s=LONGEST_DELAY_S)
     step_ms = 1000 * physics.model.opt.timestep
     levels = np.arange(0, 1000 * LONGEST_DELAY_S + DELAY_STEP_MS / 2, DELAY_STEP_MS).tolist()
     late = [round(level / step_ms) for level in levels]
     trials = [Trial(start, WALK_S, delay=steps) for steps in late for start in range(len(WALK_PHASES))]
-    starts = setting.starts(subject, WALK_PHASES, LONGEST_DELAY_S)
-    result = fly(subject, physics, starts, trials, setting.watch, setting.lanes)
-    return rows(subject.name, "delay_survived", "ms", levels, ~result.fell)
+    starts = setup.starts(agent, WALK_PHASES, LONGEST_DELAY_S)
+    result = run_trials(agent, physics, starts, trials, setup.progress, setup.num_envs)
+    return rows(agent.name, "delay_survived", "ms", levels, ~result.fell)
 
 
 def rows(name: str, quantity: str, level_unit: str, levels: Sequence[float], up: np.ndarray) -> list[dict[str, Any]]:
-    """A row for each level of a disturbance, from whether the robots stayed up, [level x start]."""
+    """A row for each level of a scenario, from whether the robots stayed up, [level x start]."""
     shares = up.reshape(len(levels), -1)
     row = {"subject": name, "quantity": quantity, "unit": "1", "n": shares.shape[1], "level_unit": level_unit}
     return [
@@ -69,13 +70,13 @@ def rows(name: str, quantity: str, level_unit: str, levels: Sequence[float], up:
 def main(config: SurvivalConfig) -> None:
     """Walk all levels and write the result."""
     out = cli.check_writable(config.out)
-    subject, console = config.subject(), Console(stderr=True)
+    agent, console = config.agent(), Console(stderr=True)
     with console.status("walking") as status:
-        setting = Setting(watch=lambda over, walking: status.update(f"{over} trials over, {walking} robots walking"))
-        found = [*terrain(subject, setting), *delay(subject, setting)]
+        setup = EvalSetup(progress=lambda over, walking: status.update(f"{over} trials over, {walking} robots walking"))
+        found = [*terrain(agent, setup), *delay(agent, setup)]
     for row in found:
         console.print(f"{row['quantity']:17} {row['level']:5g} {row['level_unit']:2} {row['value']:.2f}")
-    provenance = cli.provenance(**asdict(config), subject=dict(subject.provenance))
+    provenance = cli.provenance(**asdict(config), subject=dict(agent.provenance))
     cli.write_json(out, {"rows": found, "provenance": provenance})
 
 

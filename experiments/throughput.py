@@ -21,7 +21,7 @@ from rich.console import Console
 from cassie_mjx import cli
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Disturbance, Physics, PhysicsState
+from cassie_mjx.physics.types import Physics, PhysicsState, Scenario
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.model import (
     MJX_TRAINING,
@@ -63,7 +63,7 @@ def swinging_targets(robots: int, control_steps: int, seed: int) -> np.ndarray:
 
 def walk_in_place(physics: Physics, state: PhysicsState, targets: np.ndarray, steps: int) -> PhysicsState:
     """Advance by one control step for each of `targets`."""
-    undisturbed = Disturbance.none(targets.shape[1])
+    undisturbed = Scenario.nominal(targets.shape[1])
     for target in targets:
         state = physics.advance(state, target, undisturbed, steps)
     return jax.block_until_ready(state)
@@ -158,7 +158,7 @@ def main(config: ThroughputConfig) -> None:
     largest = max(config.mjx_robots)
     published = ModelConfig(physics_hz=1000, contacts="published", iterations=4, ls_iterations=6)
     cases = [(MJX_TRAINING, robots) for robots in config.mjx_robots]
-    cases += [(replace(MJX_TRAINING, contacts="referee"), largest), (published, largest)]
+    cases += [(replace(MJX_TRAINING, contacts="full"), largest), (published, largest)]
     for model, robots in cases:
         rows.append(time_mjx(config, model, robots))
         console.print(rows[-1])

@@ -19,11 +19,13 @@ from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents.heuristic import HeuristicAgent
+from cassie_mjx.agents.types import Agent, AgentState
 from cassie_mjx.envs.scenario import PUSH_S
-from cassie_mjx.evaluation.scheduler import fly
-from cassie_mjx.evaluation.steady import side_by_side, walked
+from cassie_mjx.envs.termination import fallen
+from cassie_mjx.evaluation.scheduler import run_trials
+from cassie_mjx.evaluation.steady import begin, side_by_side, walk_on
 from cassie_mjx.evaluation.suites import DIRECTIONS
-from cassie_mjx.evaluation.trial import Subject, Trial, Walker, fallen
+from cassie_mjx.evaluation.trial import Trial
 from cassie_mjx.heuristic.config import CONTROLLERS, ControllerConfig
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.robot.model import ModelConfig, load_model
@@ -171,9 +173,9 @@ class Evaluator:
     def __call__(self, configs: Sequence[ControllerConfig]) -> list[Score]:
         """Walk, push and send over terrain."""
         stacked = jax.tree.map(lambda *leaves: np.array(leaves, np.float32), *configs)
-        subject = HeuristicAgent(self.preset, stacked)
-        starts, speed, unrest = self._walk(subject, len(configs))
-        shares = self._survive(subject, starts, len(configs))
+        agent = HeuristicAgent(self.preset, stacked)
+        starts, speed, unrest = self._walk(agent, len(configs))
+        shares = self._survive(agent, starts, len(configs))
         # Mean and worst trial count. Half a metre in a stride of 0.704 s is 0.71 m/s; 0.03 m/s either way are free.
         falls = sum(1 - share.mean(axis=1) + 0.4 * (1 - share.min(axis=1)) for share in shares.values())
         cost = falls + 2 * (np.abs(speed - 0.71) - 0.03).clip(0) + unrest
@@ -182,20 +184,20 @@ class Evaluator:
             for i, (total, v) in enumerate(zip(np.nan_to_num(cost, nan=WORST), speed, strict=True))
         ]
 
-    def _walk(self, subject: HeuristicAgent, robots: int) -> tuple[Walker, np.ndarray, np.ndarray]:
+    def _walk(self, agent: HeuristicAgent, robots: int) -> tuple[AgentState, np.ndarray, np.ndarray]:
         """Start from standing. Returns eight phases of a late stride, its speed, and what the pelvis moved in it."""
-        first, calls = subject.calls_before(WARM_UP_STRIDES), subject.stride_calls
-        walk = walked(subject, self.flat, subject.stand(self.flat, robots))
+        first, calls = agent.acts_before(WARM_UP_STRIDES), agent.stride_acts
+        walk = walk_on(agent, self.flat, begin(agent, self.flat, *agent.initial_state(robots)))
         stride = list(islice(walk, first, first + calls + 1))
-        qpos = np.array([walker.physics.qpos for walker in stride])
+        qpos = np.array([each.physics.qpos for each in stride])
         height, pitch = qpos[..., 2], 2 * (qpos[..., 3] * qpos[..., 5] - qpos[..., 6] * qpos[..., 4])
         unrest = 2 * np.ptp(height, axis=0) + 0.5 * np.ptp(pitch, axis=0) + 0.3 * np.abs(pitch).max(axis=0)
         upright = ~fallen(qpos, np.zeros(robots)).any(axis=0)
-        steady = np.all([on_time(walker, subject.period_s) for walker in (stride[0], stride[-1])], axis=0)
-        speed = (qpos[-1, :, 0] - qpos[0, :, 0]) / (calls * subject.period_s)
-        return side_by_side(subject, stride[: -1 : calls // 8]), speed, np.where(upright & steady, unrest, WORST)
+        steady = np.all([on_time(each, agent.period_s) for each in (stride[0], stride[-1])], axis=0)
+        speed = (qpos[-1, :, 0] - qpos[0, :, 0]) / (calls * agent.period_s)
+        return side_by_side(agent, stride[: -1 : calls // 8]), speed, np.where(upright & steady, unrest, WORST)
 
-    def _survive(self, subject: Subject, starts: Walker, robots: int) -> dict[str, np.ndarray]:
+    def _survive(self, agent: Agent, starts: AgentState, robots: int) -> dict[str, np.ndarray]:
         """Share of each trial before the fall, [candidate, trial], by kind; `starts` are 8 phases of the candidates."""
         kinds, each = zip(*trials(DEMANDS[self.preset]), strict=True)
         shares = np.empty((robots, len(each)))
@@ -204,17 +206,17 @@ class Evaluator:
             (self.terrain, [i for i, kind in enumerate(kinds) if kind == "terrain"]),
         ):
             own = [replace(each[i], start=each[i].start * robots + k) for k in range(robots) for i in chosen]
-            survived_s = fly(subject, physics, starts, own).survived_s
+            survived_s = run_trials(agent, physics, starts, own).survived_s
             shares[:, chosen] = (survived_s / [trial.seconds for trial in own]).reshape(robots, -1)
         return {kind: shares[:, [other == kind for other in kinds]] for kind in PHASES}
 
 
-def on_time(walker: Walker, period_s: float) -> np.ndarray:
+def on_time(robots: AgentState, period_s: float) -> np.ndarray:
     """Whether the clock of robots that should be at phase 0 of a stride is there, to within a call, [B].
 
     A clock that hurries in steady walking is not: its strides are shorter than the reference motion's.
     """
-    state, step_time = walker.memory.state, walker.memory.config.step_time
+    state, step_time = robots.carry.state, robots.carry.config.step_time
     late = np.where(np.asarray(state.stance) == 1, step_time - state.phase, -np.asarray(state.phase))
     return np.abs(late) < 1.5 * period_s
 

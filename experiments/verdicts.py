@@ -2,7 +2,7 @@
 
 A grid of 528 cells, chosen before any was walked: pushes, terrain and delays from harmless to hopeless. Both engines
 run at 2 kHz with the referee's contacts, from the same states; MJX in float32, and with a tangent plane under each leg
-where MuJoCo C has a height field. A trial at the border, where the next level of the disturbance changes the outcome,
+where MuJoCo C has a height field. A trial at the border, where the next level of the scenario changes the outcome,
 may well end otherwise; no other should.
 """
 
@@ -16,9 +16,11 @@ from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
-from cassie_mjx.evaluation.scheduler import fly
-from cassie_mjx.evaluation.suites import ENGINES, LIMIT_PHASES, LONGEST_DELAY_S, WALK_S, Setting, pushed, towards
-from cassie_mjx.evaluation.trial import Subject, Trial
+from cassie_mjx.agents.types import Agent
+from cassie_mjx.evaluation.scheduler import run_trials
+from cassie_mjx.evaluation.suites import LIMIT_PHASES, LONGEST_DELAY_S, WALK_S, EvalSetup, pushed, towards
+from cassie_mjx.evaluation.trial import Trial
+from cassie_mjx.physics.make import ENGINES
 
 DIRECTIONS_DEG = np.arange(8) * 45.0
 FORCES_N = np.arange(20, 241, 20)
@@ -65,12 +67,12 @@ def subsets() -> list[Subset]:
     ]
 
 
-def survived(subject: Subject, setting: Setting, subset: Subset) -> np.ndarray:
+def survived(agent: Agent, setup: EvalSetup, subset: Subset) -> np.ndarray:
     """Which of the cells [group, level] are survived."""
-    starts = setting.starts(subject, LIMIT_PHASES, subset.longest_delay_s)
-    physics = setting.physics(subject, subset.scene, subset.longest_delay_s)
+    starts = setup.starts(agent, LIMIT_PHASES, subset.longest_delay_s)
+    physics = setup.physics(subset.scene, subset.longest_delay_s)
     trials = [trial for group in subset.trials for trial in group]
-    result = fly(subject, physics, starts, trials, setting.watch, setting.lanes)
+    result = run_trials(agent, physics, starts, trials, setup.progress, setup.num_envs)
     return ~result.fell.reshape(len(subset.trials), -1)
 
 
@@ -98,14 +100,14 @@ def row(kind: str, native: np.ndarray, mjx: np.ndarray, border: np.ndarray) -> d
 def main(config: VerdictsConfig) -> None:
     """Walk the cells on both engines and write what differs."""
     out, console = cli.check_writable(config.out), Console(stderr=True)
-    subject = config.subject()
+    agent = config.agent()
     rows, differing, verdicts = [], [], []
     for subset in subsets():
         found, seconds = {}, {}
         for engine in ENGINES:
             began = time.perf_counter()
             with console.status(f"{subset.kind} on {engine}"):
-                found[engine] = survived(subject, Setting(engine), subset)
+                found[engine] = survived(agent, EvalSetup(engine), subset)
             seconds[f"seconds_{engine}"] = round(time.perf_counter() - began, 1)
         native, mjx = found["native"], found["mjx"]
         border = at_border(native)
@@ -117,7 +119,7 @@ def main(config: VerdictsConfig) -> None:
             differing[-1] |= {"at_border": bool(border[group, level]), "trial": vars(subset.trials[group][level])}
     rows.append(row("all", *np.concatenate(verdicts, axis=1)))
     console.print(rows[-1])
-    provenance = cli.provenance(**asdict(config), subject=dict(subject.provenance))
+    provenance = cli.provenance(**asdict(config), subject=dict(agent.provenance))
     cli.write_json(out, {"rows": rows, "differing": differing, "provenance": provenance})
 
 

@@ -6,37 +6,38 @@ from typing import Any
 
 import numpy as np
 
-from cassie_mjx.evaluation.trial import Walker
+from cassie_mjx.agents.types import AgentState
 from cassie_mjx.physics.mjx import MjxPhysics
-from cassie_mjx.physics.types import PhysicsState, namespace
+from cassie_mjx.physics.types import PhysicsState
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.arrays import namespace
 
 
-def never(start, velocity, t, disturbance):
+def never(start, velocity, t, scenario):
     return t < 0
 
 
 class _Points:
     """Points that slide along x with acceleration `pull`.
 
-    `falls(start, velocity, t, disturbance)` says which are down: true, false or NaN.
+    `falls(start, velocity, t, scenario)` says which are down: true, false or NaN.
     """
 
-    max_delay, damping = 0, 1.0
+    max_delay, kd_scale = 0, 1.0
 
     def __init__(self, hertz=2000, pull=0.0, falls=never):
         self.model = SimpleNamespace(opt=SimpleNamespace(timestep=1 / hertz))
         self.pull, self.falls = pull, falls
         self.flown = 0
 
-    def advance(self, state, target, disturbance, n_steps):
+    def advance(self, state, target, scenario, n_steps):
         xp, dt = namespace(state.qpos), self.model.opt.timestep
         self.flown += n_steps * len(target)
-        pushed = (disturbance.push_stop - state.step).clip(0, n_steps)
+        pushed = (scenario.push_stop - state.step).clip(0, n_steps)
         step = state.step + np.int32(n_steps)
         t = step * dt
-        qvel = xp.concatenate([state.qvel[:, :3] + disturbance.push * (pushed * dt)[:, None], state.qvel[:, 3:]], 1)
-        down = self.falls(state.qpos[:, -1], qvel[:, :3], t, disturbance)
+        qvel = xp.concatenate([state.qvel[:, :3] + scenario.push * (pushed * dt)[:, None], state.qvel[:, 3:]], 1)
+        down = self.falls(state.qpos[:, -1], qvel[:, :3], t, scenario)
         x, y, z = self.pull * t**2 / 2, state.qpos[:, 1], 0.9 - 0.4 * down
         qpos = xp.concatenate([xp.stack([x, y, z], 1), state.qpos[:, 3:]], 1)
         return replace(state, qpos=qpos, qvel=qvel, step=step)
@@ -59,7 +60,7 @@ def compiled_points(**how) -> Any:
 class Still:
     """A subject that asks for zero angles; it remembers how often it acted."""
 
-    name, period_s, damping, provenance = "still", 0.032, 1.0, {}
+    name, period_s, kd_scale, provenance = "still", 0.032, 1.0, {}
 
     def start(self, physics, phases):
         robots = len(phases)
@@ -67,7 +68,7 @@ class Still:
         qpos[:, 2], qpos[:, 3], qpos[:, -1] = 0.9, 1.0, np.arange(robots)
         zero = np.zeros((robots, cassie.NV))
         state = PhysicsState(qpos, zero, zero, np.zeros(robots, np.int32), np.zeros((robots, 0, 67)))
-        return Walker(state, np.zeros(robots))
+        return AgentState(state, np.zeros(robots))
 
     def returns(self, physics, delay=0):
         return []
@@ -75,5 +76,5 @@ class Still:
     def act(self, physics, seen, memory):
         return np.zeros((len(memory), cassie.NU)), memory + 1
 
-    def carried(self, memory, offset):
+    def moved(self, memory, offset):
         return memory

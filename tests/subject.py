@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cassie_mjx.evaluation.trial import Walker
+from cassie_mjx.agents.types import AgentState
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.model import standing
 
@@ -12,13 +12,13 @@ class Swaying:
 
     name = "swaying"
 
-    def __init__(self, period_s=0.032, hold=1.0, damping=1.0):
-        self.provenance, self.period_s, self.hold, self.damping = {}, period_s, hold, damping
+    def __init__(self, period_s=0.032, hold=1.0, kd_scale=1.0):
+        self.provenance, self.period_s, self.hold, self.kd_scale = {}, period_s, hold, kd_scale
 
     def start(self, physics, phases):
         qpos = np.tile(standing(physics.model), (len(phases), 1))
         qvel = np.full((len(phases), cassie.NV), 0.02)
-        return Walker(physics.init(qpos, qvel), np.zeros(len(phases)))
+        return AgentState(physics.init(qpos, qvel), np.zeros(len(phases)))
 
     def returns(self, physics, delay=0):
         return []
@@ -27,5 +27,5 @@ class Swaying:
         sway = 0.02 * seen.qvel[:, cassie.ACTIVE_QVEL] + 0.01 * np.sin(memory)[:, None]
         return self.hold * cassie.STANDING_TARGET + sway, memory + 1
 
-    def carried(self, memory, offset):
+    def moved(self, memory, offset):
         return memory

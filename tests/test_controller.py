@@ -10,10 +10,11 @@ import pytest
 
 from cassie_mjx.agents.heuristic import HeuristicAgent
 from cassie_mjx.envs.scenario import PUSH_S
-from cassie_mjx.evaluation.scheduler import fly
+from cassie_mjx.envs.termination import fallen
+from cassie_mjx.evaluation.scheduler import run_trials
 from cassie_mjx.evaluation.steady import walked
 from cassie_mjx.evaluation.suites import DIRECTIONS, LIMIT_PHASES, WALK_S
-from cassie_mjx.evaluation.trial import AFTER_PUSH_S, Trial, fallen
+from cassie_mjx.evaluation.trial import AFTER_PUSH_S, Trial
 from cassie_mjx.heuristic import law
 from cassie_mjx.heuristic.config import COMPLIANT, CONTROLLERS, STIFF
 from cassie_mjx.heuristic.kinematics import inverse_kinematics, level_foot
@@ -179,7 +180,7 @@ def test_survives_the_pushes_required(physics, name):
     subject, seconds = HeuristicAgent(name), PUSH_S + AFTER_PUSH_S
     pushes = [(force * x, force * y) for force, (x, y) in zip(REQUIRED[name][0], DIRECTIONS.values(), strict=True)]
     trials = [Trial(k, seconds, push=push) for k in range(len(LIMIT_PHASES)) for push in pushes]
-    assert not fly(subject, physics, subject.start(physics, LIMIT_PHASES), trials).fell.any()
+    assert not run_trials(subject, physics, subject.start(physics, LIMIT_PHASES), trials).fell.any()
 
 
 @pytest.mark.slow
@@ -187,4 +188,4 @@ def test_survives_the_pushes_required(physics, name):
 def test_walks_blind_over_the_terrain_required(physics, name):
     subject, terrain = HeuristicAgent(name), NativePhysics(load_model(ModelConfig(scene="terrain")))
     trials = [Trial(k, WALK_S, terrain=REQUIRED[name][1]) for k in range(len(LIMIT_PHASES))]
-    assert not fly(subject, terrain, subject.start(physics, LIMIT_PHASES), trials).fell.any()
+    assert not run_trials(subject, terrain, subject.start(physics, LIMIT_PHASES), trials).fell.any()

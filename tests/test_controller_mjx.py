@@ -9,7 +9,7 @@ import pytest
 from cassie_mjx.heuristic import law
 from cassie_mjx.heuristic.config import CONTROLLERS
 from cassie_mjx.physics.mjx import MjxPhysics
-from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model
 
@@ -20,9 +20,9 @@ SECONDS, ROBOTS = 10.0, 2
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_walks_ten_seconds(standing_qpos, name):
     config = CONTROLLERS[name]
-    physics = MjxPhysics(load_mjx_model(replace(MJX_TRAINING, contacts="referee")))
+    physics = MjxPhysics(load_mjx_model(replace(MJX_TRAINING, contacts="full")))
     act_steps = round(config.period * 1000)
-    disturbance = Disturbance.none(ROBOTS)
+    scenario = Scenario.nominal(ROBOTS)
     qvel = 0.02 * np.random.default_rng(0).normal(size=(ROBOTS, cassie.NV)).astype(np.float32)
     state = physics.init(np.tile(standing_qpos, (ROBOTS, 1)).astype(np.float32), qvel)
     control = law.init(config, state.qpos, physics.bodies(state))
@@ -30,7 +30,7 @@ def test_walks_ten_seconds(standing_qpos, name):
     def act(carry, _):
         state, control = carry
         target, control = law.step(config, control, state.qpos, state.qvel, physics.bodies(state), config.period)
-        state = physics.advance(state, target, disturbance, act_steps)
+        state = physics.advance(state, target, scenario, act_steps)
         return (state, control), state.qpos[:, :3]
 
     acts = round(SECONDS / config.period)

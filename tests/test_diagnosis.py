@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from cassie_mjx.control import observation
-from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.physics.types import Scenario
 from cassie_mjx.ppo import learner
 from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.robot import cassie
@@ -21,9 +22,9 @@ from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_mjx_model, lo
 from cassie_mjx.training import divergence
 
 CONFIG = PPOConfig(num_robots=2, num_steps=4, minibatch_size=8, hidden_sizes=(16,))
-PUSH = replace(Disturbance.none(2), push=np.full((2, 3), 50.0), push_stop=np.full(2, 1000, np.int32))
+PUSH = replace(Scenario.nominal(2), push=np.full((2, 3), 50.0), push_stop=np.full(2, 1000, np.int32))
 # Begins and ends within the third control step, which is physics steps 32 to 47.
-HILL = replace(Disturbance.none(2), terrain=np.full(2, 0.1))
+HILL = replace(Scenario.nominal(2), terrain=np.full(2, 0.1))
 SHORT_PUSH = replace(PUSH, push_start=np.full(2, 37, np.int32), push_stop=np.full(2, 42, np.int32))
 
 
@@ -32,10 +33,10 @@ def native():
     return NativePhysics(load_model(ModelConfig(physics_hz=500)))
 
 
-def replayed(physics, robot_1_turns_at=0.0, disturbance=PUSH):
+def replayed(physics, robot_1_turns_at=0.0, scenario=PUSH):
     """The divergence of a rollout of two robots that are pushed, one of which starts with a pelvis that turns."""
     env = WalkEnv(physics, load_motion("walk"), WalkConfig(), 2)
-    state = env.reset_at(np.array([3, 8]), disturbance)
+    state = env.reset_at(np.array([3, 8]), scenario)
     qvel = np.array(state.physics.qvel)
     qvel[1, 3] += robot_1_turns_at
     state = replace(state, physics=physics.init(state.physics.qpos, qvel))
@@ -69,8 +70,8 @@ def test_what_diverged_diverges_in_plain_mujoco(native, tmp_path, monkeypatch):
     assert not np.isfinite(stepped(tmp_path / "nan").qpos).all()
 
 
-@pytest.mark.parametrize(("scene", "disturbance"), [("flat", PUSH), ("flat", SHORT_PUSH), ("terrain", HILL)])
-def test_the_step_is_the_engines(scene, disturbance, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("scene", "scenario"), [("flat", PUSH), ("flat", SHORT_PUSH), ("terrain", HILL)])
+def test_the_step_is_the_engines(scene, scenario, tmp_path, monkeypatch):
     native = NativePhysics(load_model(ModelConfig(physics_hz=500, scene=scene)))
     advance, results = NativePhysics.advance, []
 
@@ -80,7 +81,7 @@ def test_the_step_is_the_engines(scene, disturbance, tmp_path, monkeypatch):
         return replace(results[-1], qpos=np.full((2, cassie.NQ), np.nan)) if len(results) == 3 else results[-1]
 
     monkeypatch.setattr(NativePhysics, "advance", poisoned)
-    found = replayed(native, disturbance=disturbance) or pytest.fail("no divergence")
+    found = replayed(native, scenario=scenario) or pytest.fail("no divergence")
     divergence.dump(tmp_path / "nan", native, found)
     data = stepped(tmp_path / "nan")
     np.testing.assert_allclose(data.qpos, results[2].qpos[0], rtol=0, atol=1e-12)

@@ -9,18 +9,19 @@ import pytest
 
 from cassie_mjx.envs import reward
 from cassie_mjx.envs.brax_env import CassieEnv
-from cassie_mjx.envs.scenario import DisturbanceConfig, draw, renew
-from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.envs.scenario import ScenarioConfig
+from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import sample
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model, load_model
 
 ROBOTS, HZ, SUBSTEPS = 8, 1000, 32
 MODEL = replace(MJX_TRAINING, iterations=100)
-ALL = DisturbanceConfig(push_n=200, push_pause_s=1.0, terrain_m=0.24, delay_s=0.0045)
+ALL = ScenarioConfig(push_n=200, push_pause_s=1.0, terrain_m=0.24, delay_s=0.0045)
 NO_ACTION = np.zeros((ROBOTS, 10), np.float32)
 
 
@@ -34,8 +35,8 @@ def hills():
     return NativePhysics(load_model(replace(MODEL, scene="terrain")), max_delay=5)
 
 
-def make(physics, motion, disturbance, **config):
-    return WalkEnv(physics, motion, WalkConfig(disturbance=disturbance, **config), ROBOTS)
+def make(physics, motion, scenario, **config):
+    return WalkEnv(physics, motion, WalkConfig(scenario=scenario, **config), ROBOTS)
 
 
 def assert_same(these, those):
@@ -69,16 +70,16 @@ def test_the_backward_part_of_pushes_can_be_less():
 
 @pytest.mark.parametrize("name", ["push_n", "terrain_m", "delay_s"])
 def test_what_is_not_asked_for_does_not_act(name):
-    config = replace(DisturbanceConfig(), **{name: getattr(ALL, name)})
+    config = replace(ScenarioConfig(), **{name: getattr(ALL, name)})
     drawn = draw(config, jax.random.key(1), 1000, HZ)
     acting = {"push_n": drawn.push.any(), "terrain_m": drawn.terrain.any(), "delay_s": drawn.delay.any()}
     assert acting == {other: other == name for other in acting}
     assert config.active
-    assert not DisturbanceConfig().active
+    assert not ScenarioConfig().active
 
 
 def test_a_push_over_is_followed_by_the_next_and_an_episode_over_by_all_anew():
-    present = Disturbance(
+    present = Scenario(
         push=jnp.ones((4, 3)),
         push_start=jnp.array([64, 96, 64, 96]),
         push_stop=jnp.array([264, 296, 264, 296]),
@@ -97,8 +98,8 @@ def test_a_push_over_is_followed_by_the_next_and_an_episode_over_by_all_anew():
 
 
 def test_pushes_act_when_and_as_drawn_one_after_the_other(hills, motion):
-    config = DisturbanceConfig(push_n=50, push_pause_s=0.032)
-    env = make(hills, motion, config, early_end_reward=None, x_limit_m=None)
+    config = ScenarioConfig(push_n=50, push_pause_s=0.032)
+    env = make(hills, motion, config, min_reward=None, max_position_error_m=None)
     state = env.reset(jax.random.key(3))
     pushes = []
     for i in range(10):
@@ -106,11 +107,11 @@ def test_pushes_act_when_and_as_drawn_one_after_the_other(hills, motion):
         target = sample(motion, np.asarray(before.clock.phase) + 1, np.zeros(ROBOTS, int))[0]
         target = np.asarray(target, float)[:, 7:]
         assert not np.asarray(state.terminated).any()
-        pushes.append(before.disturbance)
-        over = before.disturbance.push_stop <= SUBSTEPS * (i + 1)
-        assert_same(state.disturbance.push[~over], before.disturbance.push[~over])
-        assert (state.disturbance.push[over] != before.disturbance.push[over]).any(axis=1).all()
-        assert (state.disturbance.push_start[over] - SUBSTEPS * (i + 1) <= SUBSTEPS).all()
+        pushes.append(before.scenario)
+        over = before.scenario.push_stop <= SUBSTEPS * (i + 1)
+        assert_same(state.scenario.push[~over], before.scenario.push[~over])
+        assert (state.scenario.push[over] != before.scenario.push[over]).any(axis=1).all()
+        assert (state.scenario.push_start[over] - SUBSTEPS * (i + 1) <= SUBSTEPS).all()
     # 0.2 s are 6.25 control steps, so that the second push begins within 8 or 9 of them.
     assert all((pushes[-1].push != pushes[0].push).any(axis=1))
     assert (pushes[-1].push_start >= 7 * SUBSTEPS).all()
@@ -119,24 +120,24 @@ def test_pushes_act_when_and_as_drawn_one_after_the_other(hills, motion):
 def test_a_step_is_the_physics_under_the_drawn_disturbance(hills, motion):
     env = make(hills, motion, replace(ALL, push_pause_s=0.0))
     state = env.reset(jax.random.key(4))
-    assert_same(state.disturbance, draw(env.config.disturbance, jax.random.fold_in(jax.random.key(4), 3), ROBOTS, HZ))
-    assert state.disturbance.delay.any()
-    assert state.disturbance.terrain.any()
+    assert_same(state.scenario, draw(env.config.scenario, jax.random.fold_in(jax.random.key(4), 3), ROBOTS, HZ))
+    assert state.scenario.delay.any()
+    assert state.scenario.terrain.any()
     after = env.step(state, NO_ACTION, jax.random.key(5))
     target = np.asarray(env._target(state.clock, NO_ACTION), float)
-    moved = hills.advance(state.physics, target, state.disturbance, SUBSTEPS)
+    moved = hills.advance(state.physics, target, state.scenario, SUBSTEPS)
     going = ~np.asarray(after.terminated)
     assert going.sum() >= ROBOTS // 2
     assert_same(after.physics.qpos[going], moved.qpos[going])
-    slots = (moved.step - state.disturbance.delay) % 6
+    slots = (moved.step - state.scenario.delay) % 6
     sensed = moved.history[np.arange(ROBOTS), slots]
     np.testing.assert_allclose(after.final_observation[:, :6], sensed[:, 1:7], atol=1e-6)
 
 
 def test_robots_start_on_a_crest_and_are_judged_from_there(hills, motion):
-    env = make(hills, motion, DisturbanceConfig(terrain_m=0.3))
+    env = make(hills, motion, ScenarioConfig(terrain_m=0.3))
     state = env.reset(jax.random.key(10))
-    height = state.disturbance.terrain
+    height = state.scenario.terrain
     phase = np.asarray(state.clock.phase)
     first = np.asarray(motion.qpos)[phase]
     on_terrain = height > 0
@@ -162,27 +163,27 @@ def test_a_reset_draws_everything_anew(hills, motion):
         ended = np.asarray(state.terminated)
         fresh = draw(ALL, jax.random.fold_in(jax.random.key(i), 3), ROBOTS, HZ)
         for name in ("push", "push_start", "push_stop", "delay", "terrain"):
-            now = getattr(state.disturbance, name)
+            now = getattr(state.scenario, name)
             assert_same(now[ended], np.asarray(getattr(fresh, name))[ended])
-        assert_same(state.disturbance.terrain[~ended], before.disturbance.terrain[~ended])
-        assert_same(state.disturbance.delay[~ended], before.disturbance.delay[~ended])
+        assert_same(state.scenario.terrain[~ended], before.scenario.terrain[~ended])
+        assert_same(state.scenario.delay[~ended], before.scenario.delay[~ended])
         if ended.any():
             return
     pytest.fail("the reference angles alone do not walk")
 
 
 def test_without_disturbances_keys_draw_what_they_always_drew(hills, motion):
-    env = make(hills, motion, DisturbanceConfig(), episode_steps=1)
+    env = make(hills, motion, ScenarioConfig(), episode_steps=1)
     state = env.reset(jax.random.key(8))
     np.testing.assert_array_equal(state.clock.phase, jax.random.randint(jax.random.key(8), (ROBOTS,), 0, env.samples))
     state = env.step(state, NO_ACTION, jax.random.key(9))
     assert np.asarray(state.truncated).all()
     np.testing.assert_array_equal(state.clock.phase, jax.random.randint(jax.random.key(9), (ROBOTS,), 0, env.samples))
-    assert_same(state.disturbance, Disturbance.none(ROBOTS))
+    assert_same(state.scenario, Scenario.nominal(ROBOTS))
 
 
 def test_both_engines_draw_and_live_the_same(hills, motion):
-    config = DisturbanceConfig(push_n=200, push_pause_s=0.0, terrain_m=0.24)
+    config = ScenarioConfig(push_n=200, push_pause_s=0.0, terrain_m=0.24)
     states = []
     for physics in (hills, MjxPhysics(load_mjx_model(MJX_TRAINING))):
         env = make(physics, motion, config)
@@ -190,7 +191,7 @@ def test_both_engines_draw_and_live_the_same(hills, motion):
         for i in range(3):
             state = env.step(state, NO_ACTION, jax.random.key(i))
         states.append(state)
-    assert_same(states[0].disturbance, states[1].disturbance)
+    assert_same(states[0].scenario, states[1].scenario)
     np.testing.assert_allclose(states[1].physics.qpos, states[0].physics.qpos, atol=0.02)
     np.testing.assert_allclose(states[1].reward, states[0].reward, atol=5e-3)
 
@@ -198,14 +199,14 @@ def test_both_engines_draw_and_live_the_same(hills, motion):
 def test_bad_configurations(motion):
     for name in ("push_n", "push_backward", "push_pause_s", "terrain_m", "delay_s"):
         with pytest.raises(ValueError, match=f"{name}=-1 must be from 0 to 1"):
-            DisturbanceConfig(**{name: -1})
+            ScenarioConfig(**{name: -1})
     with pytest.raises(ValueError, match="push_backward=1.1 must be from 0 to 1."):
-        DisturbanceConfig(push_backward=1.1)
+        ScenarioConfig(push_backward=1.1)
     with pytest.raises(ValueError, match=r"delay_s=0.01 is 10 physics steps; this engine was made for 0 to 0\."):
-        make(NativePhysics(load_model(MODEL)), motion, DisturbanceConfig(delay_s=0.01))
+        make(NativePhysics(load_model(MODEL)), motion, ScenarioConfig(delay_s=0.01))
 
 
 def test_brax_gets_no_disturbances(motion):
 
     with pytest.raises(ValueError, match="is not for CassieEnv"):
-        CassieEnv(motion, WalkConfig(disturbance=DisturbanceConfig(push_n=100)))
+        CassieEnv(motion, WalkConfig(scenario=ScenarioConfig(push_n=100)))

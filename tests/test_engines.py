@@ -8,7 +8,7 @@ import pytest
 from cassie_mjx import cli
 from cassie_mjx.agents.policy_file import save_policy
 from cassie_mjx.control import observation
-from cassie_mjx.evaluation.returns import referee, walk_returns
+from cassie_mjx.evaluation.returns import walk_returns
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.ppo import learner
@@ -23,9 +23,9 @@ def test_rows_are_the_returns_on_each_engine_at_each_rate(tmp_path, monkeypatch)
     run, soft = tmp_path / "run", tmp_path / "soft"
     motion = load_motion("walk")
     policy = learner.init(jax.random.key(0), PPOConfig(), observation.SIZE, cassie.NU, 1).policy
-    for folder, damping in ((run, 1.0), (soft, 0.5)):
+    for folder, kd_scale in ((run, 1.0), (soft, 0.5)):
         folder.mkdir()
-        save_policy(folder / "best.npz", policy, motion, 1.0, damping, {"samples": 7})
+        save_policy(folder / "best.npz", policy, motion, 1.0, kd_scale, {"samples": 7})
         (folder / "config.json").write_text(json.dumps({"config": {"physics": "mjx", "physics_hz": 500}}))
 
     natives = engines.engines
@@ -35,8 +35,8 @@ def test_rows_are_the_returns_on_each_engine_at_each_rate(tmp_path, monkeypatch)
     assert [(row["policy"], row["walks_on"], row["physics_hz"], row["trained_on"]) for row in rows] == [
         (str(folder), "native", hertz, "mjx") for hertz in (2000, 500) for folder in (soft, run)
     ]
-    for row, damping in ((rows[0], 0.5), (rows[1], 1.0)):
-        physics = NativePhysics(load_model(ModelConfig()), damping=damping)
+    for row, kd_scale in ((rows[0], 0.5), (rows[1], 1.0)):
+        physics = NativePhysics(load_model(ModelConfig()), kd_scale=kd_scale)
         expected = walk_returns(engines.NumpyPolicy.load(run / "best.npz"), referee(motion, physics))
         assert {name: row[name] for name in expected} == {k: pytest.approx(v, abs=0.01) for k, v in expected.items()}
 

@@ -12,12 +12,13 @@ from cassie_mjx.control import observation
 from cassie_mjx.envs import command as clock
 from cassie_mjx.envs import reward
 from cassie_mjx.envs.brax_env import CassieEnv
-from cassie_mjx.envs.walk import ENDS, WalkConfig, WalkEnv
+from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import sample, stretch
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model, load_model
 
@@ -95,7 +96,7 @@ def test_a_step_follows_the_pd_law_to_the_next_sample(env, native, motion):
     after = env.step(state, action, jax.random.key(2))
     ahead, _ = sample(motion, np.asarray(state.clock.phase) + 1, np.zeros(ROBOTS, int))
     target = np.asarray(ahead)[:, cassie.ACTIVE_QPOS] + action
-    moved = native.advance(state.physics, np.asarray(target, float), Disturbance.none(ROBOTS), 32)
+    moved = native.advance(state.physics, np.asarray(target, float), Scenario.nominal(ROBOTS), 32)
     going = ~np.asarray(after.terminated)
     assert going.any()
     np.testing.assert_allclose(after.physics.qpos[going], moved.qpos[going], atol=1e-5)
@@ -137,7 +138,7 @@ def test_speeds_are_drawn_from_the_whole_range_and_its_ends():
 
 
 def test_new_speeds_are_commanded_and_reached_slowly(native, motion):
-    task = WalkConfig(command_s=0.32, x_limit_m=None)
+    task = WalkConfig(command_s=0.32, max_position_error_m=None)
     env = WalkEnv(native, motion, task, 64, speeds=(0.0, 4.0))
     state = env.reset(jax.random.key(4))
     changes, ends, kept = 0, 0, 0
@@ -199,14 +200,14 @@ def test_one_speed_for_all_is_the_stretched_motion_from_the_same_phases(native, 
 
 def test_given_no_speeds_robots_go_evenly_from_the_lowest_to_the_highest(native, motion):
     env = WalkEnv(native, motion, WalkConfig(), 5, speeds=(0.0, 4.0))
-    state = env.reset_at(np.zeros(5, np.int32), Disturbance.none(5))
+    state = env.reset_at(np.zeros(5, np.int32), Scenario.nominal(5))
     np.testing.assert_array_equal(state.clock.speed, [0, 1, 2, 3, 4])
 
 
 def test_episodes_end_by_falls_low_rewards_and_length(native, motion):
     def run(config, steps, action=0.0):
         env = WalkEnv(native, motion, config, ROBOTS)
-        state = env.reset_at(jnp.arange(ROBOTS), Disturbance.none(ROBOTS))
+        state = env.reset_at(jnp.arange(ROBOTS), Scenario.nominal(ROBOTS))
         ends = []
         for i in range(steps):
             state = env.step(state, np.full((ROBOTS, 10), action), jax.random.key(i))
@@ -215,7 +216,7 @@ def test_episodes_end_by_falls_low_rewards_and_length(native, motion):
             np.testing.assert_array_equal(causes, state.terminated)
         return [np.array(x) for x in zip(*ends, strict=True)], state
 
-    (terminated, truncated, rewards), _ = run(WalkConfig(early_end_reward=0.6), 40)
+    (terminated, truncated, rewards), _ = run(WalkConfig(min_reward=0.6), 40)
     assert terminated.any(), "the reference angles alone do not walk"
     assert (rewards[terminated] < 0.6).all()
     (late, _, _), _ = run(WalkConfig().to_the_fall(), 40)
@@ -226,8 +227,8 @@ def test_episodes_end_by_falls_low_rewards_and_length(native, motion):
 
 
 def test_robots_far_from_the_reference_end_their_episode_and_the_critic_is_told_how_far(native, motion):
-    env = WalkEnv(native, motion, WalkConfig(early_end_reward=None, x_limit_m=0.3), ROBOTS)
-    state = env.reset_at(jnp.zeros(ROBOTS, jnp.int32), Disturbance.none(ROBOTS))
+    env = WalkEnv(native, motion, WalkConfig(min_reward=None, max_position_error_m=0.3), ROBOTS)
+    state = env.reset_at(jnp.zeros(ROBOTS, jnp.int32), Scenario.nominal(ROBOTS))
     np.testing.assert_array_equal(state.privileged, np.zeros((ROBOTS, 1)))
     moved = np.linspace(-0.6, 0.6, ROBOTS)
     state.physics.qpos[:, 0] += moved
@@ -256,7 +257,7 @@ def test_both_engines_step_the_same_task(native, motion):
     phases = jnp.arange(ROBOTS) * 2
     states, envs = [], [WalkEnv(physics, motion, WalkConfig(), ROBOTS) for physics in (native, mjx)]
     for env in envs:
-        state = env.reset_at(phases, Disturbance.none(ROBOTS))
+        state = env.reset_at(phases, Scenario.nominal(ROBOTS))
         for i in range(3):
             state = env.step(state, np.zeros((ROBOTS, 10), np.float32), jax.random.key(i))
         states.append(state)
@@ -268,10 +269,10 @@ def test_both_engines_step_the_same_task(native, motion):
 def test_bad_configurations():
     with pytest.raises(ValueError, match="reward='sparse' is not known; choose one of plain, weighted"):
         WalkConfig(reward="sparse")
-    with pytest.raises(ValueError, match="early_end_reward=1.5 must be"):
-        WalkConfig(early_end_reward=1.5)
-    with pytest.raises(ValueError, match="x_limit_m=0 must be greater than 0, or null"):
-        WalkConfig(x_limit_m=0)
+    with pytest.raises(ValueError, match="min_reward=1.5 must be"):
+        WalkConfig(min_reward=1.5)
+    with pytest.raises(ValueError, match="max_position_error_m=0 must be greater than 0, or null"):
+        WalkConfig(max_position_error_m=0)
     with pytest.raises(ValueError, match="start_velocity_mps=-1 must be from 0 to 3"):
         WalkConfig(start_velocity_mps=-1)
     with pytest.raises(ValueError, match="start_offset_m=4 must be from 0 to 3"):

@@ -9,17 +9,17 @@ import pytest
 from cassie_mjx import cli, evaluate
 from cassie_mjx.evaluate import EvaluateConfig
 from cassie_mjx.evaluation import suites
-from cassie_mjx.evaluation.suites import Findings
-from cassie_mjx.evaluation.trial import Measured
+from cassie_mjx.evaluation.suites import SuiteResult
+from cassie_mjx.evaluation.trial import Metric
 
 
 def test_the_file_has_rows_and_provenance(tmp_path, monkeypatch):
-    speed, height = Measured("speed_mps", 0.7, "m/s", 10), Measured("terrain_h_m", 0.1, "m", 8)
+    speed, height = Metric("speed_mps", 0.7, "m/s", 10), Metric("terrain_h_m", 0.1, "m", 8)
     found = {"walk": [speed], "delay": [], "terrain": [height], "push": []}
     asked = []
 
     def suite(name):
-        return lambda subject, setting: asked.append((name, setting.engine, setting.long)) or Findings(found[name])
+        return lambda subject, setting: asked.append((name, setting.engine, setting.long)) or SuiteResult(found[name])
 
     monkeypatch.setattr(evaluate, "SUITES", {name: suite(name) for name in found})
     evaluate.main(EvaluateConfig(policy="controller:stiff", long=True, physics="mjx", out=str(tmp_path / "a.json")))
@@ -35,7 +35,7 @@ def test_the_file_has_rows_and_provenance(tmp_path, monkeypatch):
 
 
 def test_cells_and_the_policys_own_provenance_go_to_the_file(tmp_path, monkeypatch):
-    monkeypatch.setitem(suites.SUITES, "map", lambda subject, setting: Findings([], {"survived": [["10"]]}))
+    monkeypatch.setitem(suites.SUITES, "map", lambda subject, setting: SuiteResult([], {"survived": [["10"]]}))
     evaluate.main(EvaluateConfig(policy="1x", suite="map", out=str(tmp_path / "a.json")))
     content = json.loads((tmp_path / "a.json").read_text())
     assert content["map"] == {"survived": [["10"]]}

@@ -5,7 +5,7 @@ import pytest
 from subject import Swaying
 
 from cassie_mjx.evaluation.film import film
-from cassie_mjx.evaluation.scheduler import fly
+from cassie_mjx.evaluation.scheduler import run_trials
 from cassie_mjx.evaluation.trial import Trial, placed
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.robot.model import ModelConfig, load_model
@@ -15,11 +15,11 @@ from cassie_mjx.robot.model import ModelConfig, load_model
     "disturbed", [{}, {"push": (60.0, -20.0)}, {"delay": 7}, {"terrain": 0.05}, {"terrain": 0.05, "delay": 3}]
 )
 def test_a_film_shows_the_trial_that_is_measured(disturbed):
-    """Thirty control steps, filmed at 100 frames a second, end in the state that `fly` measures."""
+    """Thirty control steps, filmed at 100 frames a second, end in the state that `run_trials` measures."""
     subject, trial = Swaying(), Trial(0, 0.96, **disturbed)
     physics = NativePhysics(load_model(ModelConfig(scene="terrain" if trial.terrain else "flat")), trial.delay)
     starts = subject.start(physics, np.zeros(1))
-    result = fly(subject, physics, starts, [trial])
+    result = run_trials(subject, physics, starts, [trial])
     first, *_, last = film(subject, Trial(0, 0.97, **disturbed), fps=100)
     assert last.time_s == 0.96
     np.testing.assert_array_equal(first.qpos, placed(subject, starts, [trial]).physics.qpos[0])

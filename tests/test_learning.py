@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from cassie_mjx.envs.walk import WALK_PRESETS
+from cassie_mjx.envs.config import WALK_PRESETS
 from cassie_mjx.training.config import TrainConfig
 from cassie_mjx.training.run_directory import comparable
 from experiments import learning
@@ -25,7 +25,7 @@ from experiments.learning import (
 )
 
 RESULTS = Path(__file__).parents[1] / "experiments" / "results"
-TWO_SEEDS = Variant("tenth", {"ppo": "paper", ACTOR: "1e-4", "walk.early_end_reward": "null"}, (0, 1))
+TWO_SEEDS = Variant("tenth", {"ppo": "paper", ACTOR: "1e-4", "walk.min_reward": "null"}, (0, 1))
 
 
 def fake_training(monkeypatch, status=0, changed=None):
@@ -78,7 +78,7 @@ def test_a_study_trains_each_seed_once_and_reports_it(monkeypatch, tmp_path):
     assert len(calls) == 2, "finished runs are not repeated"
 
 
-@pytest.mark.parametrize(("key", "value"), [("walk.early_end_reward", 0.6), ("physics_hz", 1000), ("physics", "mjx")])
+@pytest.mark.parametrize(("key", "value"), [("walk.min_reward", 0.6), ("physics_hz", 1000), ("physics", "mjx")])
 def test_a_run_with_other_settings_is_not_reported(monkeypatch, tmp_path, key, value):
     fake_training(monkeypatch, changed={key: value})
     with pytest.raises(ValueError, match=f"was trained with {key}={value}, unlike tenth"):
@@ -95,7 +95,7 @@ def test_a_run_that_is_not_finished_is_not_reported(monkeypatch, tmp_path):
         learning.check(checkpoints.parent, TWO_SEEDS, 1)
 
 
-@pytest.mark.parametrize(("disturbed", "kept"), [({}, 290), ({"walk.disturbance.push_n": "100"}, 280)])
+@pytest.mark.parametrize(("disturbed", "kept"), [({}, 290), ({"walk.scenario.push_n": "100"}, 280)])
 def test_the_return_is_that_of_the_policy_that_training_keeps(tmp_path, disturbed, kept):
     variant = Variant("one", disturbed, (0,))
     config = expected(variant, 0, tmp_path.parent)
@@ -158,15 +158,15 @@ def test_overrides_read_as_a_run_records_them():
     assert wanted["seed"] == 1
     assert wanted["ppo.critic_learning_rate"] == 1e-2
     assert wanted["ppo.actor_learning_rate"] == 1e-4
-    assert wanted["walk.early_end_reward"] is None
+    assert wanted["walk.min_reward"] is None
     assert wanted["ppo.hidden_sizes"] == [256, 256]
 
 
 def test_a_run_can_go_on_from_the_one_of_its_seed_in_a_task_of_its_own():
-    on = Variant("on", {"walk": "robust", "init": "{runs}/first-seed{seed}", "walk.damping": "0.5"})
+    on = Variant("on", {"walk": "robust", "init": "{runs}/first-seed{seed}", "walk.kd_scale": "0.5"})
     wanted = expected(on, 2, learning.Path("other/runs"))
-    assert (wanted["init"], wanted["seed"], wanted["walk.damping"]) == ("other/runs/first-seed2", 2, 0.5)
-    assert wanted["walk.disturbance.push_n"] == WALK_PRESETS["robust"].disturbance.push_n > 0
+    assert (wanted["init"], wanted["seed"], wanted["walk.kd_scale"]) == ("other/runs/first-seed2", 2, 0.5)
+    assert wanted["walk.scenario.push_n"] == WALK_PRESETS["robust"].scenario.push_n > 0
 
 
 def test_an_unknown_study_is_refused():

@@ -12,7 +12,7 @@ import pytest
 
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.loops import loop_error
 from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_mjx_model, load_model
@@ -25,13 +25,13 @@ DAMPING = 0.5
 
 @pytest.fixture(scope="module")
 def physics():
-    return MjxPhysics(load_mjx_model(MJX_TRAINING), max_delay=8, damping=DAMPING)
+    return MjxPhysics(load_mjx_model(MJX_TRAINING), max_delay=8, kd_scale=DAMPING)
 
 
 @pytest.fixture(scope="module")
 def referee():
     """MuJoCo C at the same rate and with the same contacts, converged."""
-    return NativePhysics(load_model(replace(CONVERGED, iterations=100)), max_delay=8, damping=DAMPING)
+    return NativePhysics(load_model(replace(CONVERGED, iterations=100)), max_delay=8, kd_scale=DAMPING)
 
 
 @pytest.fixture(scope="module")
@@ -43,14 +43,14 @@ def states(referee, standing_qpos):
         [loop_consistent(referee.model, standing_qpos, scale * rng.normal(size=cassie.NV)) for scale in scales]
     )
     targets = cassie.STANDING_TARGET + 0.1 * rng.normal(size=(BATCH, cassie.NU))
-    disturbance = replace(
-        Disturbance.none(BATCH),
+    scenario = replace(
+        Scenario.nominal(BATCH),
         push=rng.uniform(-80, 80, (BATCH, 3)),
         push_start=np.arange(BATCH, dtype=np.int32) * 3,
         push_stop=np.arange(BATCH, dtype=np.int32) * 3 + 25,
         delay=np.arange(BATCH, dtype=np.int32),
     )
-    return np.tile(standing_qpos, (BATCH, 1)), qvel, targets, disturbance
+    return np.tile(standing_qpos, (BATCH, 1)), qvel, targets, scenario
 
 
 @pytest.fixture(scope="module")
@@ -80,16 +80,16 @@ def test_acceleration_equals_mujoco_c_in_float64(accelerations, case):
 
 def test_float32_over_one_and_ten_control_steps(physics, referee, states):
     """Pushed, delayed and at walking velocities: within 0.1 mm and 1 mrad after 32 ms; the same motion after 320 ms."""
-    qpos, qvel, targets, disturbance = states
+    qpos, qvel, targets, scenario = states
     c = referee.init(qpos, qvel)
     x = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
-    c = referee.advance(c, targets, disturbance, 32)
-    x = physics.advance(x, targets, disturbance, 32)
+    c = referee.advance(c, targets, scenario, 32)
+    x = physics.advance(x, targets, scenario, 32)
     np.testing.assert_allclose(x.qpos, c.qpos, atol=1e-3)
     np.testing.assert_allclose(x.qpos[:, :3], c.qpos[:, :3], atol=1e-4)
     for _ in range(9):
-        c = referee.advance(c, targets, disturbance, 32)
-        x = physics.advance(x, targets, disturbance, 32)
+        c = referee.advance(c, targets, scenario, 32)
+        x = physics.advance(x, targets, scenario, 32)
     np.testing.assert_allclose(x.qpos[:, :3], c.qpos[:, :3], atol=5e-3)
     np.testing.assert_allclose(x.qpos[:, cassie.ACTIVE_QPOS], c.qpos[:, cassie.ACTIVE_QPOS], atol=2e-2)
     np.testing.assert_array_equal(x.step, c.step)
@@ -101,8 +101,8 @@ def test_standing_has_the_same_outcome_in_both_engines(physics, referee, standin
     c = referee.init(qpos, qvel)
     x = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
     for _ in range(63):
-        c = referee.advance(c, targets, Disturbance.none(BATCH), 32)
-        x = physics.advance(x, targets, Disturbance.none(BATCH), 32)
+        c = referee.advance(c, targets, Scenario.nominal(BATCH), 32)
+        x = physics.advance(x, targets, Scenario.nominal(BATCH), 32)
         np.testing.assert_allclose(x.qpos[:, 2], c.qpos[:, 2], atol=2e-3)
         assert loop_error(referee.model, np.asarray(x.qpos)).max() < 1e-3
     np.testing.assert_allclose(x.qpos[:, 2], standing_qpos[2], atol=2e-3)
@@ -116,15 +116,15 @@ def test_terrain_agrees_with_the_height_field(physics, standing_qpos):
     qpos[:, 2] += heights * np.sin(qpos[:, 0]) + 0.02 * heights / 0.3
     qvel = np.zeros((BATCH, cassie.NV))
     targets = np.tile(cassie.STANDING_TARGET, (BATCH, 1))
-    disturbance = replace(Disturbance.none(BATCH), terrain=heights)
+    scenario = replace(Scenario.nominal(BATCH), terrain=heights)
     hills = NativePhysics(load_model(replace(CONVERGED, scene="terrain", iterations=100)))
-    c = hills.advance(hills.init(qpos, qvel), targets, disturbance, 192)
+    c = hills.advance(hills.init(qpos, qvel), targets, scenario, 192)
     x = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
     for _ in range(6):
-        x = physics.advance(x, targets, disturbance, 32)
+        x = physics.advance(x, targets, scenario, 32)
     flat = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
     for _ in range(6):
-        flat = physics.advance(flat, targets, Disturbance.none(BATCH), 32)
+        flat = physics.advance(flat, targets, Scenario.nominal(BATCH), 32)
     np.testing.assert_allclose(x.qpos[:, :3], c.qpos[:, :3], atol=6e-3)
     assert np.abs(flat.qpos[:, :3] - c.qpos[:, :3]).max() > 0.05
 
@@ -138,28 +138,28 @@ def test_bodies_are_those_of_mujoco_c(physics, referee, states):
 
 
 def test_advance_can_be_scanned_inside_a_jit(physics, states):
-    qpos, qvel, targets, disturbance = states
+    qpos, qvel, targets, scenario = states
     state = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
 
     @jax.jit
     def three_steps(state, targets):
-        return jax.lax.scan(lambda s, _: (physics.advance(s, targets, disturbance, 32), None), state, None, length=3)[0]
+        return jax.lax.scan(lambda s, _: (physics.advance(s, targets, scenario, 32), None), state, None, length=3)[0]
 
     scanned = three_steps(state, jnp.asarray(targets, jnp.float32))
     for _ in range(3):
-        state = physics.advance(state, targets, disturbance, 32)
+        state = physics.advance(state, targets, scenario, 32)
     np.testing.assert_allclose(scanned.qpos, state.qpos, atol=1e-3)
 
 
 def test_bad_input_gets_one_sentence(physics, states):
-    qpos, qvel, targets, disturbance = states
+    qpos, qvel, targets, scenario = states
     with pytest.raises(ValueError, match=r"qvel\[0, 3\] is inf"):
         physics.init(qpos, np.where(np.arange(cassie.NV) == 3, np.inf, qvel))
     state = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
     with pytest.raises(ValueError, match=r"target has shape \(8, 9\)"):
-        physics.advance(state, targets[:, 1:], disturbance, 1)
+        physics.advance(state, targets[:, 1:], scenario, 1)
     with pytest.raises(ValueError, match="delay of 9 physics steps .* 0 to 8"):
-        physics.advance(state, targets, replace(disturbance, delay=disturbance.delay + 2), 1)
+        physics.advance(state, targets, replace(scenario, delay=scenario.delay + 2), 1)
 
 
 @pytest.mark.parametrize("batch", [64, 256])
@@ -171,11 +171,11 @@ jax.config.update("jax_compilation_cache_dir", {str(jax.config.jax_compilation_c
 from cassie_mjx import robot
 from cassie_mjx.model import MJX_TRAINING, load_mjx_model, standing
 from cassie_mjx.physics.mjx import MjxPhysics
-from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.physics.types import Scenario
 physics = MjxPhysics(load_mjx_model(MJX_TRAINING))
 qpos = np.tile(standing(physics.model), ({batch}, 1)).astype(np.float32)
 state = physics.init(qpos, np.zeros(({batch}, 32), np.float32))
-state = physics.advance(state, np.tile(cassie.STANDING_TARGET, ({batch}, 1)), Disturbance.none({batch}), 32)
+state = physics.advance(state, np.tile(cassie.STANDING_TARGET, ({batch}, 1)), Scenario.nominal({batch}), 32)
 print(float(np.mean(state.qpos[:, 2])))
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=240, check=True)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Disturbance, delayed
+from cassie_mjx.physics.types import Scenario, delayed
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.ground import set_terrain
 from cassie_mjx.robot.loops import loop_error
@@ -31,7 +31,7 @@ def test_standing_stays_up_with_its_loops_closed(model, standing_qpos):
     physics = NativePhysics(model)
     state = physics.init(standing_qpos[None], np.zeros((1, cassie.NV)))
     for _ in range(63):
-        state = physics.advance(state, cassie.STANDING_TARGET[None], Disturbance.none(1), 64)
+        state = physics.advance(state, cassie.STANDING_TARGET[None], Scenario.nominal(1), 64)
         assert state.qpos[0, 2] == pytest.approx(standing_qpos[2], abs=0.002)
         assert loop_error(model, state.qpos)[0] < 1e-3
     assert state.step[0] == 63 * 64
@@ -49,36 +49,36 @@ def test_advance_is_plain_mujoco(model, standing_qpos):
         for _ in range(100):
             mujoco.mj_step(servo, data)
         expected.append(data.qpos.copy())
-    moved = physics.advance(state, targets, Disturbance.none(3), 100)
+    moved = physics.advance(state, targets, Scenario.nominal(3), 100)
     np.testing.assert_array_equal(moved.qpos, expected)
 
 
 def test_pieces_equal_the_whole_and_inputs_are_kept(model, standing_qpos):
     physics = NativePhysics(model)
     state, targets = start(physics, standing_qpos, 4)
-    disturbance = replace(
-        Disturbance.none(4), push=np.full((4, 3), 50.0), push_start=steps(0, 7, 20, 90), push_stop=steps(5, 30, 40, 99)
+    scenario = replace(
+        Scenario.nominal(4), push=np.full((4, 3), 50.0), push_start=steps(0, 7, 20, 90), push_stop=steps(5, 30, 40, 99)
     )
     before = state.qpos.copy()
-    whole = physics.advance(state, targets, disturbance, 64)
+    whole = physics.advance(state, targets, scenario, 64)
     pieces = state
     for n in (1, 9, 22, 32):
-        pieces = physics.advance(pieces, targets, disturbance, n)
+        pieces = physics.advance(pieces, targets, scenario, n)
     np.testing.assert_array_equal(pieces.qpos, whole.qpos)
     np.testing.assert_array_equal(state.qpos, before)
 
 
-@pytest.mark.parametrize("damping", [1.0, 0.3])
-def test_both_paths_give_the_same_trajectory(model, standing_qpos, damping):
-    held, stepwise = NativePhysics(model, damping=damping), NativePhysics(model, max_delay=3, damping=damping)
+@pytest.mark.parametrize("kd_scale", [1.0, 0.3])
+def test_both_paths_give_the_same_trajectory(model, standing_qpos, kd_scale):
+    held, stepwise = NativePhysics(model, kd_scale=kd_scale), NativePhysics(model, max_delay=3, kd_scale=kd_scale)
     a, targets = start(held, standing_qpos, 5)
     b, _ = start(stepwise, standing_qpos, 5)
-    disturbance = replace(
-        Disturbance.none(5), push=np.full((5, 3), 80.0), push_start=steps(0, 3, 10, 64, 70), push_stop=steps(*[90] * 5)
+    scenario = replace(
+        Scenario.nominal(5), push=np.full((5, 3), 80.0), push_start=steps(0, 3, 10, 64, 70), push_stop=steps(*[90] * 5)
     )
     for _ in range(4):
-        a = held.advance(a, targets, disturbance, 32)
-        b = stepwise.advance(b, targets, disturbance, 32)
+        a = held.advance(a, targets, scenario, 32)
+        b = stepwise.advance(b, targets, scenario, 32)
     np.testing.assert_allclose(b.qpos, a.qpos, atol=1e-10)
     np.testing.assert_allclose(b.qvel, a.qvel, atol=1e-8)
 
@@ -93,10 +93,10 @@ def test_a_push_of_a_fifth_of_a_second_gives_its_momentum(physics_hz, standing_q
     state = physics.init(np.tile(qpos, (2, 1)), np.zeros((2, cassie.NV)))
     duration = round(0.2 * physics_hz)
     force = np.array([[100.0, -40.0, 20.0], [0.0, 60.0, 0.0]])
-    disturbance = replace(
-        Disturbance.none(2), push=force, push_start=steps(13, 57), push_stop=steps(13 + duration, 57 + duration)
+    scenario = replace(
+        Scenario.nominal(2), push=force, push_start=steps(13, 57), push_stop=steps(13 + duration, 57 + duration)
     )
-    state = physics.advance(state, np.tile(qpos[cassie.ACTIVE_QPOS], (2, 1)), disturbance, physics_hz // 2)
+    state = physics.advance(state, np.tile(qpos[cassie.ACTIVE_QPOS], (2, 1)), scenario, physics_hz // 2)
     data = mujoco.MjData(model)
     for i in range(2):
         data.qpos[:], data.qvel[:] = state.qpos[i], state.qvel[i]
@@ -110,7 +110,7 @@ def test_delayed_pd_is_the_pd_law_on_old_states(model, standing_qpos):
     delays = (0, 1, 7)
     physics = NativePhysics(model, max_delay=10)
     state, targets = start(physics, standing_qpos, len(delays))
-    disturbance = replace(Disturbance.none(len(delays)), delay=steps(*delays))
+    scenario = replace(Scenario.nominal(len(delays)), delay=steps(*delays))
     expected = []
     for i, delay in enumerate(delays):
         data = mujoco.MjData(model)
@@ -123,9 +123,9 @@ def test_delayed_pd_is_the_pd_law_on_old_states(model, standing_qpos):
             mujoco.mj_step(model, data)
             seen.append((data.qpos.copy(), data.qvel.copy()))
         expected.append((data.qpos.copy(), seen[0][0].copy()))
-    state = physics.advance(state, targets, disturbance, 80)
+    state = physics.advance(state, targets, scenario, 80)
     np.testing.assert_allclose(state.qpos, [qpos for qpos, _ in expected], atol=1e-12)
-    np.testing.assert_allclose(delayed(state, disturbance)[0], [old for _, old in expected], atol=1e-12)
+    np.testing.assert_allclose(delayed(state, scenario)[0], [old for _, old in expected], atol=1e-12)
 
 
 def test_one_and_two_threads_agree_to_the_bit(model, standing_qpos):
@@ -133,7 +133,7 @@ def test_one_and_two_threads_agree_to_the_bit(model, standing_qpos):
     for threads in (1, 2):
         physics = NativePhysics(model, threads=threads)
         state, targets = start(physics, standing_qpos, 33)
-        results.append(physics.advance(state, targets, Disturbance.none(33), 200))
+        results.append(physics.advance(state, targets, Scenario.nominal(33), 200))
     np.testing.assert_array_equal(results[0].qpos, results[1].qpos)
     np.testing.assert_array_equal(results[0].qvel, results[1].qvel)
 
@@ -148,8 +148,8 @@ def test_each_robot_has_its_own_terrain(standing_qpos):
     qpos[:, 2] += heights
     state = physics.init(qpos, np.zeros((3, cassie.NV)))
     targets = np.tile(cassie.STANDING_TARGET, (3, 1))
-    disturbance = replace(Disturbance.none(3), terrain=heights)
-    moved = physics.advance(state, targets, disturbance, 400)
+    scenario = replace(Scenario.nominal(3), terrain=heights)
+    moved = physics.advance(state, targets, scenario, 400)
     np.testing.assert_allclose(moved.qpos[:, 2], qpos[:, 2], atol=0.01)
     for i, height in enumerate(heights):
         alone = load_model(ModelConfig(scene="terrain"))
@@ -178,9 +178,9 @@ def test_bodies_are_those_of_mujoco(model, standing_qpos):
 def test_a_nan_stays_with_its_robot(model, standing_qpos):
     physics = NativePhysics(model)
     state, targets = start(physics, standing_qpos, 3)
-    alone = physics.advance(state, targets, Disturbance.none(3), 64)
+    alone = physics.advance(state, targets, Scenario.nominal(3), 64)
     state.qvel[1, 4] = np.nan
-    moved = physics.advance(state, targets, Disturbance.none(3), 64)
+    moved = physics.advance(state, targets, Scenario.nominal(3), 64)
     assert np.isnan(moved.qpos[1]).any()
     np.testing.assert_array_equal(moved.qpos[[0, 2]], alone.qpos[[0, 2]])
 
@@ -197,14 +197,14 @@ def test_bad_input_gets_one_sentence(model, standing_qpos):
     state = physics.init(qpos, qvel)
     targets = np.tile(cassie.STANDING_TARGET, (2, 1))
     with pytest.raises(ValueError, match=r"target has shape \(3, 10\); for 2 robots it must be \(2, 10\)"):
-        physics.advance(state, np.zeros((3, 10)), Disturbance.none(2), 1)
-    with pytest.raises(ValueError, match=r"disturbance.push has shape \(5, 3\)"):
-        physics.advance(state, targets, Disturbance.none(5), 1)
-    late = replace(Disturbance.none(2), delay=steps(0, 4))
+        physics.advance(state, np.zeros((3, 10)), Scenario.nominal(2), 1)
+    with pytest.raises(ValueError, match=r"scenario.push has shape \(5, 3\)"):
+        physics.advance(state, targets, Scenario.nominal(5), 1)
+    late = replace(Scenario.nominal(2), delay=steps(0, 4))
     with pytest.raises(ValueError, match="delay of 4 physics steps .* 0 to 0; make it with max_delay=4"):
         physics.advance(state, targets, late, 1)
     with pytest.raises(ValueError, match="delay of -2 physics steps looks into the future"):
         physics.advance(state, targets, replace(late, delay=steps(0, -2)), 1)
-    hilly = replace(Disturbance.none(2), terrain=np.array([0.0, 0.1]))
+    hilly = replace(Scenario.nominal(2), terrain=np.array([0.0, 0.1]))
     with pytest.raises(ValueError, match="terrain of 0.1 m was asked of a flat scene"):
         physics.advance(state, targets, hilly, 1)

@@ -12,7 +12,7 @@ from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.recording import make_periodic
 from cassie_mjx.motion.reference import ReferenceMotion, blend_motions, nearest_sample, sample, stretch, stretch_states
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.loops import loop_error
 from experiments.record_reference import foot_points
@@ -180,7 +180,7 @@ def test_the_reference_angles_alone_fall(model, motion):
     up, seconds = np.ones(22, bool), np.zeros(22)
     for step in range(1, 64):
         target = sample(motion, phase + step, none)[0][:, cassie.ACTIVE_QPOS]
-        state = physics.advance(state, target, Disturbance.none(22), 64)
+        state = physics.advance(state, target, Scenario.nominal(22), 64)
         up &= (state.qpos[:, Z] > 0.6) & (state.qpos[:, Z] < 1.2)
         seconds += 0.032 * up
     assert not up.any()

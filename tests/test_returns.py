@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cassie_mjx.envs.walk import WalkConfig
-from cassie_mjx.evaluation.returns import STARTS, referee, walk_returns
+from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.evaluation.returns import STARTS, walk_returns
 from cassie_mjx.motion.files import load_motion
-from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.physics.types import Scenario
 
 
 class Scripted:
@@ -19,10 +19,10 @@ class Scripted:
     def __init__(self, robots, steps=8, early_end=None):
         self.phase = np.zeros(robots, int)
         self.robots, self.samples = robots, 22
-        self.config = WalkConfig(early_end_reward=early_end, x_limit_m=None, episode_steps=steps)
+        self.config = WalkConfig(min_reward=early_end, max_position_error_m=None, episode_steps=steps)
 
-    def reset_at(self, phase, disturbance):
-        self.phase, self.steps, self.disturbance = phase, 0, disturbance
+    def reset_at(self, phase, scenario):
+        self.phase, self.steps, self.scenario = phase, 0, scenario
         return self._state()
 
     def step(self, state, action, key):
@@ -62,11 +62,11 @@ def test_starts_are_tenths_of_the_stride():
 
 
 def test_a_disturbance_acts_from_the_start():
-    env, late = scripted(3), replace(Disturbance.none(3), delay=np.full(3, 10, np.int32))
+    env, late = scripted(3), replace(Scenario.nominal(3), delay=np.full(3, 10, np.int32))
     walk_returns(act, env, late)
-    assert env.disturbance is late
+    assert env.scenario is late
     walk_returns(act, env)
-    assert not env.disturbance.delay.any()
+    assert not env.scenario.delay.any()
 
 
 def test_early_ends_are_refused():

@@ -62,7 +62,7 @@ def test_pd_torque_by_hand():
 def test_pd_torque_with_less_damping():
     target, qdot = np.full(10, 0.1), np.tile([0.0, 0.0, 0.0, 1.0, -2.0], 2)
     # 96*0.1 - 0.25*9.6*1; 50*0.1 + 0.25*5*2
-    torque = cassie.pd_torque(target, np.zeros(10), qdot, damping=0.25)
+    torque = cassie.pd_torque(target, np.zeros(10), qdot, kd_scale=0.25)
     np.testing.assert_allclose(torque, [10, 10, 8.8, 7.2, 7.5] * 2)
 
 

@@ -134,7 +134,7 @@ class Standing:
     """A policy that asks for the reference angles alone, and keeps what it was shown."""
 
     def __init__(self):
-        self.motion, self.damping, self.seen = load_motion("walk"), 1.0, []
+        self.motion, self.kd_scale, self.seen = load_motion("walk"), 1.0, []
 
     def mode(self, observation):
         self.seen.append(np.asarray(observation))

@@ -12,10 +12,11 @@ from cassie_mjx.agents.make import AgentConfig, make_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy import PolicyAgent
 from cassie_mjx.agents.policy_file import save_policy, shipped_policies
+from cassie_mjx.agents.types import AgentState
 from cassie_mjx.control import observation
 from cassie_mjx.evaluation import film, returns
-from cassie_mjx.evaluation.scheduler import fly
-from cassie_mjx.evaluation.trial import Trial, Walker
+from cassie_mjx.evaluation.scheduler import run_trials
+from cassie_mjx.evaluation.trial import Trial
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.ppo import learner
@@ -34,10 +35,10 @@ def test_the_controller_starts_along_its_stride_and_walks_on(model):
     np.testing.assert_allclose(off_phase, 0, atol=1e-3)
     # The foot in the air, or about to leave the ground, left it within half a stride of the pelvis.
     assert (np.abs(memory.liftoff_w[:, 0]) < 0.5).all()
-    result = fly(subject, physics, starts, [Trial(k, 3.0) for k in range(4)])
+    result = run_trials(subject, physics, starts, [Trial(k, 3.0) for k in range(4)])
     assert not result.fell.any()
     np.testing.assert_allclose(result.distance_m / 3.0, 0.7, atol=0.07)
-    moved = subject.carried(starts.memory, np.tile([1.0, 2.0, 3.0], (4, 1))).state
+    moved = subject.moved(starts.memory, np.tile([1.0, 2.0, 3.0], (4, 1))).state
     np.testing.assert_allclose(moved.liftoff_w - memory.liftoff_w, np.tile([1, 2, 3], (4, 1)), atol=1e-6)
     np.testing.assert_allclose(moved.line_w - memory.line_w, np.tile([1, 2, 0], (4, 1)), atol=1e-6)
 
@@ -56,9 +57,11 @@ def test_a_policy_walks_as_its_targets_say(tmp_path, model):
     zero = state.policy._replace(actor=jax.tree.map(jnp.zeros_like, state.policy.actor))
     save_policy(tmp_path / "zero.npz", zero, motion, 1.0, 0.5, {})
     subject = make_agent(str(tmp_path / "zero.npz"))
-    assert subject.damping == 0.5
+    assert subject.kd_scale == 0.5
     physics = NativePhysics(model)
-    walker = Walker(physics.init(np.asarray(motion.qpos[[3, 21]]), np.asarray(motion.qvel[[3, 21]])), np.array([3, 21]))
+    walker = AgentState(
+        physics.init(np.asarray(motion.qpos[[3, 21]]), np.asarray(motion.qvel[[3, 21]])), np.array([3, 21])
+    )
     target, memory = subject.act(physics, walker.physics, walker.memory)
     np.testing.assert_allclose(target, np.asarray(motion.qpos)[[4, 0]][:, cassie.ACTIVE_QPOS], atol=1e-6)
     np.testing.assert_array_equal(memory, [4, 0])

@@ -10,12 +10,12 @@ from cassie_mjx.agents.make import make_agent
 from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.evaluation import suites
 from cassie_mjx.evaluation import trial as trials
-from cassie_mjx.evaluation.scheduler import fly
-from cassie_mjx.evaluation.suites import Setting
-from cassie_mjx.evaluation.trial import Measured, Trial
+from cassie_mjx.evaluation.scheduler import run_trials
+from cassie_mjx.evaluation.suites import EvalSetup
+from cassie_mjx.evaluation.trial import Metric, Trial
 
 
-class Settled(Setting):
+class Settled(EvalSetup):
     """A setting whose engine is one of points that fall by a rule."""
 
     falls = staticmethod(never)
@@ -33,7 +33,7 @@ class Imitating(Still):
     """Its return falls by 10 with each step of delay."""
 
     def returns(self, physics, delay=0):
-        return [Measured("return_plain", 300.0 - 10 * delay, "of 300", 10)]
+        return [Metric("return_plain", 300.0 - 10 * delay, "of 300", 10)]
 
 
 def values(findings):
@@ -43,11 +43,11 @@ def values(findings):
 def test_the_longest_delay_has_no_gap_below_it():
     class Late(Settled):
         @staticmethod
-        def falls(start, velocity, t, disturbance):
+        def falls(start, velocity, t, scenario):
             # Start 3 cannot bear 6.5 ms, all others bear up to 12 ms, and start 1 no more than 2 ms after 30 s.
-            alone = (start == 3) & (disturbance.delay == 13)
-            weary = (start == 1) & (disturbance.delay > 4) & (t > 30)
-            return ((disturbance.delay > 24) & (t > 9)) | alone | weary
+            alone = (start == 3) & (scenario.delay == 13)
+            weary = (start == 1) & (scenario.delay > 4) & (t > 30)
+            return ((scenario.delay > 24) & (t > 9)) | alone | weary
 
     found = values(suites.delay(Imitating(), Late(long=True)))
     assert found == {
@@ -60,8 +60,8 @@ def test_the_longest_delay_has_no_gap_below_it():
 def test_survival_under_delay_is_that_of_the_worst_start():
     class Late(Settled):
         @staticmethod
-        def falls(start, velocity, t, disturbance):
-            return (start == 7) & (disturbance.delay == 20) & (t > 2)
+        def falls(start, velocity, t, scenario):
+            return (start == 7) & (scenario.delay == 20) & (t > 2)
 
     found = values(suites.delay(Imitating(), Late()))
     assert found["delay_5ms_survived_s"] == 10
@@ -73,8 +73,8 @@ def test_survival_under_delay_is_that_of_the_worst_start():
 def test_the_highest_terrain_is_survived_from_all_phases(highest, expected):
     class Hilly(Settled):
         @staticmethod
-        def falls(start, velocity, t, disturbance):
-            return (start == 5) & (disturbance.terrain > highest)
+        def falls(start, velocity, t, scenario):
+            return (start == 5) & (scenario.terrain > highest)
 
     assert values(suites.terrain(Still(), Hilly())) == {"terrain_h_m": expected}
 
@@ -94,7 +94,7 @@ def test_the_map_has_every_cell(monkeypatch):
         flown.extend(listed)
         return SimpleNamespace(fell=np.array([not survives(trial) for trial in listed]))
 
-    monkeypatch.setattr(suites, "fly", judged)
+    monkeypatch.setattr(suites, "run_trials", judged)
     findings = suites.push_map(Still(), Settled())
     assert len(flown) == 16 * 8 * 40
     assert {trial.seconds for trial in flown} == {PUSH_S + trials.AFTER_PUSH_S}
@@ -114,7 +114,7 @@ def test_the_map_has_every_cell(monkeypatch):
 def test_the_limits_of_pushes_are_those_of_each_direction_and_phase():
     class Pushed(Settled):
         @staticmethod
-        def falls(start, velocity, t, disturbance):
+        def falls(start, velocity, t, scenario):
             # Points of 1 kg gain 0.2 m/s for each newton of 0.2 s.
             forward, left = velocity[:, 0] / 0.2, velocity[:, 1] / 0.2
             along = (forward > 105 + 10 * start) | (forward < -55 - 10 * start)
@@ -157,8 +157,8 @@ def test_push_figures_are_worst_and_median_phase():
 
 
 def test_walking_figures_take_the_worst_survival():
-    physics = points(falls=lambda start, velocity, t, disturbance: (start == 1) & (t > 1.0))
-    result = fly(Still(), physics, Still().start(physics, np.zeros(2)), [Trial(k, 10.0) for k in (0, 1)])
+    physics = points(falls=lambda start, velocity, t, scenario: (start == 1) & (t > 1.0))
+    result = run_trials(Still(), physics, Still().start(physics, np.zeros(2)), [Trial(k, 10.0) for k in (0, 1)])
     rows = {row.quantity: row for row in suites.walking_figures(result, "_60s")}
     assert rows["survived_s_60s"] == ("survived_s_60s", pytest.approx(1.024), "s", 2)
     assert {"speed_mps_60s", "pelvis_height_m_60s", "power_w_60s", "drift_m_60s"} < rows.keys()
@@ -176,9 +176,11 @@ def test_mjx_gives_the_verdicts_of_mujoco_c():
     ]
     results = {}
     for engine in suites.ENGINES:
-        setting = Setting(engine)
+        setting = EvalSetup(engine)
         starts = setting.starts(subject, np.array([0.0, 0.5]), suites.LONGEST_DELAY_S)
-        results[engine] = fly(subject, setting.physics(subject, longest_delay_s=suites.LONGEST_DELAY_S), starts, cells)
+        results[engine] = run_trials(
+            subject, setting.physics(subject, longest_delay_s=suites.LONGEST_DELAY_S), starts, cells
+        )
     native, mjx = results["native"], results["mjx"]
     np.testing.assert_array_equal(native.fell, [False, False, True, False, True])
     np.testing.assert_array_equal(mjx.fell, native.fell)

@@ -8,12 +8,12 @@ import pytest
 from points import Still, points
 
 from cassie_mjx.agents.make import make_agent
-from cassie_mjx.evaluation.suites import Setting
+from cassie_mjx.evaluation.suites import EvalSetup
 from experiments import survival
 from experiments.survival import SurvivalConfig, main, rows
 
 
-class Standing(Setting):
+class Standing(EvalSetup):
     """A setting whose engine is one of points."""
 
     def physics(self, subject, scene="flat", longest_delay_s=0.0):
@@ -51,11 +51,11 @@ def test_levels_from_none_on_are_walked(monkeypatch, tmp_path):
 def test_each_level_disturbs_as_it_says(monkeypatch):
     flown = []
 
-    def fly(subject, physics, starts, trials, watch, lanes):
+    def run_trials(subject, physics, starts, trials, watch, lanes):
         flown.extend(trials)
         return SimpleNamespace(fell=np.zeros(len(trials), bool))
 
-    monkeypatch.setattr(survival, "fly", fly)
+    monkeypatch.setattr(survival, "run_trials", run_trials)
     subject, setting = Still(), Standing()
     heights = [row["level"] for row in survival.terrain(subject, setting)]
     assert heights == [pytest.approx(k / 100) for k in range(41)]

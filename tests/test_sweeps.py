@@ -8,13 +8,16 @@ import pytest
 from points import Still, compiled_points, points
 from subject import Swaying
 
+from cassie_mjx.agents.types import AgentState
+from cassie_mjx.envs.termination import fallen
 from cassie_mjx.evaluation import simulate
-from cassie_mjx.evaluation.scheduler import LimitSearch, conduct, fly
-from cassie_mjx.evaluation.simulate import motor_effort
-from cassie_mjx.evaluation.trial import Trial, Walker, carried, disturbances, fallen, placed
+from cassie_mjx.evaluation.record import motor_effort
+from cassie_mjx.evaluation.scheduler import LimitSearch, run, run_trials
+from cassie_mjx.evaluation.trial import Trial, moved, placed, scenario_of
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Disturbance, PhysicsState, namespace
+from cassie_mjx.physics.types import PhysicsState, Scenario
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.arrays import namespace
 
 CONTROL_STEPS_OF_10_S = 313
 ENGINES = pytest.mark.parametrize("engine", [points, compiled_points])
@@ -63,7 +66,7 @@ def test_groups_together_stop_at_the_first_failure_of_any():
 @ENGINES
 @pytest.mark.parametrize("lanes", [1, 3, 64])
 def test_limits_do_not_depend_on_the_number_of_lanes(engine, lanes):
-    def falls(start, velocity, t, disturbance):
+    def falls(start, velocity, t, scenario):
         # Start 0 falls from 100 N on, start 1 only at 70 N, start 2 never, start 3 at once.
         force = velocity[:, 0] / 0.2
         down = ((start == 0) & (force > 95)) | ((start == 1) & (abs(force - 70) < 1)) | (start == 3)
@@ -71,13 +74,13 @@ def test_limits_do_not_depend_on_the_number_of_lanes(engine, lanes):
 
     physics = engine(falls=falls)
     search = LimitSearch(lambda g, k: Trial(g, 1.0, push=(10.0 * (k + 1), 0.0)), groups=4, levels=15)
-    conduct(Still(), physics, Still().start(physics, np.zeros(4)), search, lanes)
+    run(Still(), physics, Still().start(physics, np.zeros(4)), search, lanes)
     np.testing.assert_array_equal(search.limit, [9, 6, 15, 0])
 
 
 def test_the_fallen_give_way_to_the_next():
-    physics = points(falls=lambda start, velocity, t, disturbance: t > 0)
-    result = fly(Still(), physics, Still().start(physics, np.zeros(8)), [Trial(k, 10.0) for k in range(8)])
+    physics = points(falls=lambda start, velocity, t, scenario: t > 0)
+    result = run_trials(Still(), physics, Still().start(physics, np.zeros(8)), [Trial(k, 10.0) for k in range(8)])
     assert result.fell.all()
     np.testing.assert_allclose(result.survived_s, 0.032)
     assert physics.flown == 8 * 64
@@ -87,11 +90,11 @@ def test_the_fallen_give_way_to_the_next():
 def test_a_robot_with_nan_has_fallen(engine):
     """Start 1 diverges after one second, start 2 at once."""
 
-    def diverges(start, velocity, t, disturbance):
+    def diverges(start, velocity, t, scenario):
         return namespace(t).where(((start == 1) & (t > 1.0)) | (start == 2), np.nan, 0.0)
 
     physics = engine(falls=diverges)
-    result = fly(Still(), physics, Still().start(physics, np.zeros(3)), [Trial(k, 2.0) for k in range(3)])
+    result = run_trials(Still(), physics, Still().start(physics, np.zeros(3)), [Trial(k, 2.0) for k in range(3)])
     np.testing.assert_array_equal(result.fell, [False, True, True])
     np.testing.assert_allclose(result.survived_s, [2.0, 1.024, 0.032], rtol=1e-6)
     np.testing.assert_allclose(result.height_m, [0.9, 0.9 * 31 / 32, 0], rtol=1e-6)
@@ -106,33 +109,33 @@ def test_a_push_lasts_a_fifth_of_a_second_in_the_heading_frame(hertz):
     starts.physics.qpos[:, 3:7] = [turned(angle) for angle in yaw]
     starts.physics.step[:] = (0, 128, 640)
     trials = [Trial(k, 1.0, push=(100.0, 30.0)) for k in range(3)]
-    disturbance = disturbances(trials, starts.physics, round(0.2 * hertz))
-    np.testing.assert_array_equal(disturbance.push_stop - disturbance.push_start, round(0.2 * hertz))
-    np.testing.assert_array_equal(disturbance.push_start, starts.physics.step)
-    np.testing.assert_allclose(disturbance.push[0], [100, 30, 0], atol=1e-12)
-    np.testing.assert_allclose(disturbance.push[1], [50 - 15 * 3**0.5, 50 * 3**0.5 + 15, 0], atol=1e-12)
-    np.testing.assert_allclose(disturbance.push[2], [30, -100, 0], atol=1e-12)
+    scenario = scenario_of(trials, starts.physics, round(0.2 * hertz))
+    np.testing.assert_array_equal(scenario.push_stop - scenario.push_start, round(0.2 * hertz))
+    np.testing.assert_array_equal(scenario.push_start, starts.physics.step)
+    np.testing.assert_allclose(scenario.push[0], [100, 30, 0], atol=1e-12)
+    np.testing.assert_allclose(scenario.push[1], [50 - 15 * 3**0.5, 50 * 3**0.5 + 15, 0], atol=1e-12)
+    np.testing.assert_allclose(scenario.push[2], [30, -100, 0], atol=1e-12)
     impulses = []
 
-    def watched(start, velocity, t, disturbance):
+    def watched(start, velocity, t, scenario):
         impulses.append(velocity)
         return t < 0
 
     physics.falls = watched
-    fly(subject, physics, starts, trials)
-    np.testing.assert_allclose(impulses[-1], 0.2 * disturbance.push, atol=1e-9)
+    run_trials(subject, physics, starts, trials)
+    np.testing.assert_allclose(impulses[-1], 0.2 * scenario.push, atol=1e-9)
 
 
 def test_pushed_robots_are_pushed_for_400_steps_of_mujoco(model, standing_qpos):
     physics = NativePhysics(model)
     state = physics.init(standing_qpos[None], np.zeros((1, cassie.NV)))
-    disturbance = disturbances([Trial(0, 1.0, push=(50.0, 0.0))], state, 400)
-    shorter = replace(disturbance, push_stop=disturbance.push_stop - 1)
+    scenario = scenario_of([Trial(0, 1.0, push=(50.0, 0.0))], state, 400)
+    shorter = replace(scenario, push_stop=scenario.push_stop - 1)
     targets = cassie.STANDING_TARGET[None]
-    before = physics.advance(state, targets, disturbance, 399)
+    before = physics.advance(state, targets, scenario, 399)
     np.testing.assert_array_equal(before.qvel, physics.advance(state, targets, shorter, 399).qvel)
-    at_400, after = (physics.advance(state, targets, disturbance, n) for n in (400, 401))
-    free = physics.advance(at_400, targets, Disturbance.none(1), 1)
+    at_400, after = (physics.advance(state, targets, scenario, n) for n in (400, 401))
+    free = physics.advance(at_400, targets, Scenario.nominal(1), 1)
     np.testing.assert_array_equal(after.qvel, free.qvel)
     assert np.abs(at_400.qvel - physics.advance(state, targets, shorter, 400).qvel).max() > 1e-4
 
@@ -150,7 +153,7 @@ def test_a_fall_is_judged_over_the_ground_below():
 @ENGINES
 def test_speed_is_that_of_the_last_five_seconds(engine):
     physics = engine(pull=0.1)
-    result = fly(Still(), physics, Still().start(physics, np.zeros(1)), [Trial(0, 10.0)])
+    result = run_trials(Still(), physics, Still().start(physics, np.zeros(1)), [Trial(0, 10.0)])
     end = CONTROL_STEPS_OF_10_S * 0.032
     # Mean speed from t1 to t2 under constant acceleration: a (t1 + t2) / 2; five seconds are 156 control steps.
     np.testing.assert_allclose(result.speed_mps, 0.1 * (end + end - 156 * 0.032) / 2, rtol=1e-5)
@@ -161,8 +164,8 @@ def test_speed_is_that_of_the_last_five_seconds(engine):
 
 @ENGINES
 def test_a_fall_ends_the_walk_at_its_control_step(engine):
-    physics = engine(pull=0.1, falls=lambda start, velocity, t, disturbance: (start == 1) & (t > 1.0))
-    result = fly(Still(), physics, Still().start(physics, np.zeros(2)), [Trial(k, 10.0) for k in (0, 1)])
+    physics = engine(pull=0.1, falls=lambda start, velocity, t, scenario: (start == 1) & (t > 1.0))
+    result = run_trials(Still(), physics, Still().start(physics, np.zeros(2)), [Trial(k, 10.0) for k in (0, 1)])
     np.testing.assert_array_equal(result.fell, [False, True])
     # The first control step that ends after 1 s ends at 32 x 0.032 s; the robot stays where it was then.
     np.testing.assert_allclose(result.survived_s, [10.0, 1.024])
@@ -176,7 +179,7 @@ def test_only_work_done_counts_as_power():
     # P target - D qdot: 100 x 0.3 - 10 x 2 = 10 N·m at 2 rad/s; 100 x 0 + 10 x 3 = 30 N·m against -3 rad/s.
     target = np.array([[0.3] + [0.0] * 9])
     state = PhysicsState(qpos, qvel, qvel, np.zeros(1, np.int32), np.zeros((1, 0, 67)))
-    np.testing.assert_allclose(motor_effort(state, target, Disturbance.none(1), 1.0), [[(10 + 30) / 10, 20.0]])
+    np.testing.assert_allclose(motor_effort(state, target, Scenario.nominal(1), 1.0), [[(10 + 30) / 10, 20.0]])
 
 
 @ENGINES
@@ -191,8 +194,8 @@ def test_effort_is_a_mean_over_time(engine):
     physics = engine()
     starts = Pushing().start(physics, np.zeros(1))
     starts.physics.qvel[0, cassie.ACTIVE_QVEL[0]] = 0.01
-    result = fly(Pushing(), physics, starts, [Trial(0, 0.064), Trial(0, 0.032)])
-    # Less 0.1 N·m by damping; at 0.01 rad/s. Half of the time the motor brakes.
+    result = run_trials(Pushing(), physics, starts, [Trial(0, 0.064), Trial(0, 0.032)])
+    # Less 0.1 N·m by kd_scale; at 0.01 rad/s. Half of the time the motor brakes.
     np.testing.assert_allclose(result.torque_nm, [(49.9 + 0.1) / 2 / 10, 49.9 / 10], rtol=1e-5)
     np.testing.assert_allclose(result.power_w, [0.499 / 2, 0.499], rtol=1e-5)
 
@@ -214,12 +217,12 @@ def test_subjects_see_the_state_of_a_delay_ago(model, standing_qpos):
 
     physics, subject = NativePhysics(model, max_delay=20), Standing()
     state = physics.init(np.tile(standing_qpos, (2, 1)), np.full((2, cassie.NV), 0.05))
-    fly(subject, physics, Walker(state, np.zeros(2)), [Trial(0, 0.064, delay=20), Trial(1, 0.064)])
-    delay = replace(Disturbance.none(2), delay=np.array([20, 0], np.int32))
+    run_trials(subject, physics, AgentState(state, np.zeros(2)), [Trial(0, 0.064, delay=20), Trial(1, 0.064)])
+    delay = replace(Scenario.nominal(2), delay=np.array([20, 0], np.int32))
     at_44 = physics.advance(state, np.tile(cassie.STANDING_TARGET, (2, 1)), delay, 44)
     at_64 = physics.advance(at_44, np.tile(cassie.STANDING_TARGET, (2, 1)), delay, 20)
     np.testing.assert_array_equal(subject.seen, [at_44.qpos[0], at_64.qpos[1]])
-    moved = carried(subject, Walker(at_64, np.zeros(2)), np.array([[1.0, 2.0, 3.0], [0, 0, 0]]))
+    moved = moved(subject, AgentState(at_64, np.zeros(2)), np.array([[1.0, 2.0, 3.0], [0, 0, 0]]))
     np.testing.assert_allclose(moved.physics.history[0, :, :3] - at_64.history[0, :, :3], np.tile([1, 2, 3], (21, 1)))
     np.testing.assert_array_equal(moved.physics.history[:, :, 3:], at_64.history[:, :, 3:])
 
@@ -227,20 +230,20 @@ def test_subjects_see_the_state_of_a_delay_ago(model, standing_qpos):
 def test_effort_is_that_of_the_subjects_own_pd_law(model, monkeypatch):
     seen = []
     monkeypatch.setattr(simulate, "motor_effort", lambda *given: seen.append(given[3]) or motor_effort(*given))
-    subject, physics = Swaying(damping=0.3), NativePhysics(model, damping=0.3)
-    fly(subject, physics, subject.start(physics, np.zeros(1)), [Trial(0, 0.032)])
+    subject, physics = Swaying(kd_scale=0.3), NativePhysics(model, kd_scale=0.3)
+    run_trials(subject, physics, subject.start(physics, np.zeros(1)), [Trial(0, 0.032)])
     assert set(seen) == {0.3}
 
 
 def test_an_engine_of_another_pd_law_is_refused(model):
     physics = NativePhysics(model)
     starts = Swaying().start(physics, np.zeros(1))
-    with pytest.raises(ValueError, match="swaying walks with damping=0.3, this engine has 1; make it with"):
-        fly(Swaying(damping=0.3), physics, starts, [Trial(0, 0.032)])
+    with pytest.raises(ValueError, match="swaying walks with kd_scale=0.3, this engine has 1; make it with"):
+        run_trials(Swaying(kd_scale=0.3), physics, starts, [Trial(0, 0.032)])
 
 
 def test_a_period_that_does_not_divide_the_control_step_is_refused():
     subject, physics = Still(), points()
     subject.period_s = 0.01
     with pytest.raises(ValueError, match=r"still acts every 0\.01 s, which does not divide 0\.032 s"):
-        fly(subject, physics, subject.start(physics, np.zeros(1)), [Trial(0, 1.0)])
+        run_trials(subject, physics, subject.start(physics, np.zeros(1)), [Trial(0, 1.0)])

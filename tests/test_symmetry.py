@@ -14,13 +14,14 @@ from cassie_mjx.agents.make import make_agent
 from cassie_mjx.agents.numpy_policy import Mirror, NumpyPolicy
 from cassie_mjx.agents.policy_file import learner_policy, save_policy
 from cassie_mjx.control import observation
-from cassie_mjx.envs.walk import WalkConfig, WalkEnv
-from cassie_mjx.evaluation.suites import Setting
+from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.envs.walk import WalkEnv
+from cassie_mjx.evaluation.suites import EvalSetup
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import stretch
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Disturbance
+from cassie_mjx.physics.types import Scenario
 from cassie_mjx.ppo import learner, networks
 from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.robot import cassie
@@ -84,8 +85,8 @@ def test_images_act_as_images(policy, path, states):
 
 def states_of(env, act, delay):
     """Of every control step the state after it, up to the second episode of those that last 5 steps."""
-    disturbance = replace(Disturbance.none(22), delay=np.full(22, delay, np.int32))
-    state = env.reset_at(np.arange(22), disturbance)
+    scenario = replace(Scenario.nominal(22), delay=np.full(22, delay, np.int32))
+    state = env.reset_at(np.arange(22), scenario)
     for number in range(7):
         state = env.step(state, np.asarray(act(state.observation)), jax.random.key(number))
         yield state
@@ -116,7 +117,7 @@ def test_a_policy_does_in_both_steps_what_it_learned_in_one(motion, policy, engi
 def test_robots_half_a_stride_apart_live_the_same_step(motion, symmetric):
     physics = NativePhysics(load_model(ModelConfig(physics_hz=500)))
     env = WalkEnv(physics, motion, WalkConfig(symmetric=symmetric), 22)
-    state = env.reset_at(np.arange(22), Disturbance.none(22))
+    state = env.reset_at(np.arange(22), Scenario.nominal(22))
     for number in range(10):
         seen = np.asarray(state.observation)
         # The published pelvis is not quite symmetric: its centre of mass is 0.3 mm off the plane.
@@ -133,7 +134,7 @@ def test_a_run_measures_what_its_policy_file_has(tmp_path):
     session(tmp_path, walk=WalkConfig(symmetric=True)).train()
     last = json.loads((tmp_path / "metrics.jsonl").read_text().splitlines()[-1])
     subject = make_agent(str(tmp_path))
-    figures = {figure.quantity: figure.value for figure in subject.returns(Setting().physics(subject))}
+    figures = {figure.quantity: figure.value for figure in subject.returns(EvalSetup().physics(subject))}
     assert NumpyPolicy.load(tmp_path / "best.npz").mirror
     assert figures["return_plain"] == pytest.approx(last["eval/return_plain"], rel=1e-5)
 

@@ -20,8 +20,8 @@ from cassie_mjx import train
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy_file import save_policy
 from cassie_mjx.cli import hydra_line
-from cassie_mjx.control.command import speed_factor, speed_factors
-from cassie_mjx.envs.walk import WALK_PRESETS
+from cassie_mjx.envs.config import WALK_PRESETS
+from cassie_mjx.motion.command import speed_factor, speed_factors
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.ppo.config import PPO_PRESETS
@@ -117,10 +117,10 @@ def test_a_run_that_died_between_checkpoints_goes_on_from_the_last(unbroken, tmp
 
 def die_at_the_second_evaluation():
 
-    def save(path, policy, motion, speed, damping, provenance, symmetric):
+    def save(path, policy, motion, speed, kd_scale, provenance, symmetric):
         if provenance["samples"] == 4 * TINY.num_samples:
             raise RuntimeError
-        save_policy(path, policy, motion, speed, damping, provenance, symmetric)
+        save_policy(path, policy, motion, speed, kd_scale, provenance, symmetric)
 
     return save
 
@@ -173,9 +173,11 @@ def test_a_directory_that_holds_a_run_is_refused_untouched(unbroken, changes, se
 def test_a_run_of_another_version_is_refused(unbroken, tmp_path):
     run = shutil.copytree(unbroken, tmp_path / "run")
     held = json.loads((run / "config.json").read_text())
-    held["config"]["ppo.old"] = held["config"].pop("walk.x_limit_m")
+    held["config"]["ppo.old"] = held["config"].pop("walk.max_position_error_m")
     (run / "config.json").write_text(json.dumps(held))
-    sentence = r"a run of another version of this program, with other settings \(ppo.old, walk.x_limit_m\); choose"
+    sentence = (
+        r"a run of another version of this program, with other settings \(ppo.old, walk.max_position_error_m\); choose"
+    )
     with pytest.raises(ValueError, match=sentence):
         session(run, resume=True)
 
@@ -218,8 +220,8 @@ def test_a_missing_reference_is_refused_before_anything_is_written(tmp_path):
 def test_a_nan_in_physics_is_counted_survived_and_kept(tmp_path, monkeypatch):
     advance = NativePhysics.advance
 
-    def patched(self, state, target, disturbance, n_steps):
-        after = advance(self, state, target, disturbance, n_steps)
+    def patched(self, state, target, scenario, n_steps):
+        after = advance(self, state, target, scenario, n_steps)
         # A robot of the four diverges in the third control step of each of its episodes; the referee has ten.
         if len(state.qpos) == 4 and state.step[1] == 2 * n_steps:
             after.qpos[1] = np.nan
@@ -241,8 +243,8 @@ def test_a_nan_in_physics_is_counted_survived_and_kept(tmp_path, monkeypatch):
 def test_a_divergence_that_does_not_recur_is_looked_for_once(tmp_path, monkeypatch):
     advance, replays = NativePhysics.advance, []
 
-    def patched(self, state, target, disturbance, n_steps):
-        after = advance(self, state, target, disturbance, n_steps)
+    def patched(self, state, target, scenario, n_steps):
+        after = advance(self, state, target, scenario, n_steps)
         if len(state.qpos) == 4:
             after.qpos[1] = np.nan
         return after
@@ -293,19 +295,19 @@ def configs(monkeypatch, tmp_path, *arguments):
 
 def test_a_command_line_is_the_configuration(monkeypatch, tmp_path):
     assert configs(monkeypatch, tmp_path) == [TrainConfig()]
-    arguments = ["speed=1.5x", "ppo=paper", "ppo.clip_epsilon=0.1", "walk.early_end_reward=null", "seed=3"]
+    arguments = ["speed=1.5x", "ppo=paper", "ppo.clip_epsilon=0.1", "walk.min_reward=null", "seed=3"]
     (seen,) = configs(monkeypatch, tmp_path, *arguments)
     assert seen.ppo == replace(PPO_PRESETS["paper"], clip_epsilon=0.1)
-    assert (seen.speed, seen.seed, seen.walk.early_end_reward) == ("1.5x", 3, None)
+    assert (seen.speed, seen.seed, seen.walk.min_reward) == ("1.5x", 3, None)
     assert not list(tmp_path.iterdir()), "Hydra leaves nothing behind"
 
 
 def test_robustness_is_a_preset_of_the_task(monkeypatch, tmp_path):
-    (seen,) = configs(monkeypatch, tmp_path, "walk=robust", "walk.disturbance.push_n=180", "init=1x")
+    (seen,) = configs(monkeypatch, tmp_path, "walk=robust", "walk.scenario.push_n=180", "init=1x")
     robust = WALK_PRESETS["robust"]
-    assert seen.walk == replace(robust, disturbance=replace(robust.disturbance, push_n=180.0))
-    assert robust.disturbance.active
-    assert not TrainConfig().walk.disturbance.active
+    assert seen.walk == replace(robust, scenario=replace(robust.scenario, push_n=180.0))
+    assert robust.scenario.active
+    assert not TrainConfig().walk.scenario.active
     assert seen.init == "1x"
 
 
@@ -320,8 +322,8 @@ def test_a_sweep_runs_every_combination(monkeypatch, tmp_path):
         ("sped=2x", "'sped' is not a key; the keys are speed, physics, physics_hz, seed,"),
         ("ppo.clip=1", "'ppo.clip' is not a key; the keys are num_robots, num_steps,"),
         ("+song=1", "A key with + in front must exist as well"),
-        ("walk.disturbance.wind=1", "'walk.disturbance.wind' is not a key; the keys are push_n,"),
-        ("walk.disturbance.push_n=-1", "push_n=-1.0 must be from 0 to 1000."),
+        ("walk.scenario.wind=1", "'walk.scenario.wind' is not a key; the keys are push_n,"),
+        ("walk.scenario.push_n=-1", "push_n=-1.0 must be from 0 to 1000."),
         ("ppo=huge", "ppo=huge is not known; choose one of massive, paper, parallel."),
         ("hydra/launcher=slurm", "hydra/launcher=slurm is not known; choose one of basic."),
         ("seed=one", "seed: Value 'one' of type 'str' could not be converted to Integer."),

@@ -60,11 +60,11 @@ def clock(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("period_s", "terrain", "damping"), [(0.032, 0.0, 1.0), (0.002, 0.0, 1.0), (0.032, 0.05, 1.0), (0.032, 0.0, 0.3)]
+    ("period_s", "terrain", "kd_scale"), [(0.032, 0.0, 1.0), (0.002, 0.0, 1.0), (0.032, 0.05, 1.0), (0.032, 0.0, 0.3)]
 )
-def test_the_robot_steps_as_in_the_physics_of_the_sweeps(period_s, terrain, damping):
+def test_the_robot_steps_as_in_the_physics_of_the_sweeps(period_s, terrain, kd_scale):
     """Half a second on the model with all its visuals, in one MjData, against NativePhysics on the bare model."""
-    subject = Swaying(period_s, damping=damping)
+    subject = Swaying(period_s, kd_scale=kd_scale)
     live = Live(subject, terrain)
     for shot in film(subject, Trial(0, 0.5, terrain=terrain), fps=100):
         np.testing.assert_array_equal(live.data.qpos, shot.qpos)

@@ -1,4 +1,4 @@
-"""Training from another policy, and training under disturbances: what they start from and how they resume."""
+"""Training from another policy, and training under scenario_of: what they start from and how they resume."""
 
 import io
 import json
@@ -11,14 +11,14 @@ from rich.console import Console
 from tiny import TINY, session
 
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
-from cassie_mjx.envs.scenario import DisturbanceConfig
-from cassie_mjx.envs.walk import WalkConfig
+from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.envs.scenario import ScenarioConfig
 from cassie_mjx.ppo import networks
 from cassie_mjx.training import checkpoint
 from cassie_mjx.training.config import TrainConfig
 from cassie_mjx.training.runner import Session
 
-ALL = WalkConfig(disturbance=DisturbanceConfig(push_n=100, push_pause_s=0.1, terrain_m=0.1, delay_s=0.004))
+ALL = WalkConfig(scenario=ScenarioConfig(push_n=100, push_pause_s=0.1, terrain_m=0.1, delay_s=0.004))
 
 
 def last_state(folder):
@@ -84,7 +84,7 @@ def test_a_disturbed_run_resumes_exactly(tmp_path):
     stop_after(1, session(tmp_path / "stopped", walk=ALL))
     session(tmp_path / "stopped", walk=ALL, resume=True).train()
     assert_same_state(tmp_path / "stopped", tmp_path / "unbroken")
-    assert json.loads((tmp_path / "stopped" / "config.json").read_text())["config"]["walk.disturbance.push_n"] == 100
+    assert json.loads((tmp_path / "stopped" / "config.json").read_text())["config"]["walk.scenario.push_n"] == 100
 
 
 def test_the_best_policy_is_that_of_the_highest_return_and_under_disturbances_the_last(tmp_path, monkeypatch):

@@ -8,18 +8,22 @@ import numpy as np
 
 from cassie_mjx.agents import blending
 from cassie_mjx.agents.blending import SCHEDULES, Progress
-from cassie_mjx.agents.policy import PolicyAgent
-from cassie_mjx.evaluation.trial import Measured, Walker
-from cassie_mjx.physics.types import Array, Physics, PhysicsState
-from cassie_mjx.robot.model import CONTROL_PERIOD_S
+from cassie_mjx.agents.policy import PolicyAgent, PolicyCarry
+from cassie_mjx.agents.types import Sensed
+from cassie_mjx.control.observation import Seen
+from cassie_mjx.motion.command import Command
+from cassie_mjx.motion.reference import mean_speed, sample
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.arrays import Array
+from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
 
 BLEND_PREFIX = "blend:"
 
 
 class BlendAgent:
-    """A chain of policies, blended as a schedule says, as a `Subject`; it starts in the first policy's walk."""
+    """A chain of policies, blended as a schedule says, as an `Agent`; it starts in the first policy's walk."""
 
-    period_s = CONTROL_PERIOD_S
+    period_s, needs_bodies, motion = CONTROL_PERIOD_S, False, None
 
     def __init__(self, policies: Sequence[PolicyAgent], schedule: str) -> None:
         """Take policies and the name of one of `SCHEDULES`.
@@ -28,44 +32,71 @@ class BlendAgent:
           ValueError: the policies cannot be blended, or not by this schedule, or it is not known.
         """
         self.policies, self.motions = policies, [policy.motion for policy in policies]
-        self.speeds = [blending.mean_speed(motion) for motion in self.motions]
+        self.speeds = [float(mean_speed(motion)) for motion in self.motions]
         self.name = f"{BLEND_PREFIX}{','.join(policy.name for policy in policies)} schedule={schedule}"
         self.provenance = {policy.name: policy.provenance for policy in policies}
         blending.check_chain(self.motions)
-        self.damping = policies[0].damping
-        if any(policy.damping != self.damping for policy in policies):
+        self.kd_scale = policies[0].kd_scale
+        if any(policy.kd_scale != self.kd_scale for policy in policies):
             raise ValueError(f"{self.name}: its policies have D gains of their own, so that no one PD law holds both.")
         if schedule not in SCHEDULES:
             raise ValueError(f"schedule={schedule} is not known; choose one of {', '.join(SCHEDULES)}.")
         if schedule == "adaptive" and (np.diff(self.speeds) <= 0).any():
             raise ValueError(f"{self.name} goes by speed; name its policies from the slowest to the fastest.")
         self._schedule = SCHEDULES[schedule]
-        self._act = jax.jit(self._blended)
+        self._step = jax.jit(self._blended)
 
-    def start(self, physics: Physics, phases: np.ndarray) -> Walker:
-        """See `Subject.start`."""
-        state, phase = self.policies[0].start(physics, phases)
-        return Walker(state, Progress(phase, 0 * phase, np.full(len(phase), self.speeds[0], np.float32)))
+    @property
+    def lead(self) -> PolicyAgent:
+        """See `Agent.lead`: the first policy."""
+        return self.policies[0]
 
-    def returns(self, physics: Physics, delay: int = 0) -> list[Measured]:
-        """See `Subject.returns`: a blend imitates no one motion, so it has none."""
-        return []
+    @property
+    def stride_acts(self) -> int:
+        """See `Agent.stride_acts`."""
+        return self.lead.stride_acts
 
-    def act(self, physics: Physics, seen: PhysicsState, memory: Progress) -> tuple[Array, Progress]:
-        """See `Subject.act`."""
-        return self._act(seen.qpos, seen.qvel, memory)
+    def acts_before(self, stride: int) -> int:
+        """See `Agent.acts_before`."""
+        return self.lead.acts_before(stride)
 
-    def carried(self, memory: Progress, offset: np.ndarray) -> Progress:
-        """See `Subject.carried`: a blend remembers no place."""
-        return memory
+    def initial_state(self, robots: int) -> tuple[np.ndarray, np.ndarray]:
+        """See `Agent.initial_state`."""
+        return self.lead.initial_state(robots)
 
-    def position(self, memory: Progress) -> Array:
+    def init(self, sensed: Sensed) -> Progress:
+        """See `Agent.init`."""
+        zeros = np.zeros(len(sensed.qpos), np.int32)
+        sensing = tuple(policy.init(sensed).sensing for policy in self.policies)
+        return Progress(zeros, zeros, np.full(len(zeros), self.speeds[0], np.float32), sensing)
+
+    def step(self, carry: Progress, sensed: Sensed, command: Command | None) -> tuple[Array, Progress]:
+        """See `Agent.step`: its speed is the schedule's."""
+        return self._step(carry, sensed)
+
+    def moved(self, carry: Progress, offset: np.ndarray) -> Progress:
+        """See `Agent.moved`: a blend remembers no place."""
+        return carry
+
+    def take_over(self, carry: PolicyCarry) -> Progress:
+        """See `Agent.take_over`: every policy has sensed what the first one has."""
+        speed = np.full(len(carry.time), self.speeds[0], np.float32)
+        return Progress(carry.time, 0 * carry.time, speed, (carry.sensing,) * len(self.policies))
+
+    def position(self, carry: Progress) -> Array:
         """Where along the chain robots are, [B], 0 for the first policy."""
-        return self._schedule(memory, self.speeds)
+        return self._schedule(carry, self.speeds)
 
-    def _blended(self, qpos: Array, qvel: Array, memory: Progress) -> tuple[Array, Progress]:
-        memory = replace(memory, speed=blending.filtered(memory.speed, qvel[:, 0]))
-        ahead = memory.phase + 1
-        modes = [policy.mode for policy in self.policies]
-        target = blending.pd_target(modes, self.motions, self.position(memory), ahead, qpos, qvel)
-        return target, replace(memory, phase=ahead % len(self.motions[0].qpos), step=memory.step + 1)
+    def _blended(self, carry: Progress, sensed: Sensed) -> tuple[Array, Progress]:
+        forward = sensed.qvel[:, cassie.PELVIS_VELOCITY[0]]
+        carry = replace(carry, speed=blending.filtered(carry.speed, forward))
+        ahead = carry.phase + 1
+        residuals, sensing = [], []
+        for policy, own in zip(self.policies, carry.sensing, strict=True):
+            seen = Seen(sensed.qpos, sensed.qvel, *sample(policy.motion, ahead))
+            residual, own = policy.law.act(policy.network, own, seen)
+            residuals.append(residual)
+            sensing.append(own)
+        target = blending.pd_target(residuals, self.motions, self.position(carry), ahead)
+        phase = ahead % self.stride_acts
+        return target, replace(carry, phase=phase, step=carry.step + 1, sensing=tuple(sensing))

@@ -21,11 +21,11 @@ from typing import TypeAlias
 import jax
 import numpy as np
 
-from cassie_mjx.control import observation
+from cassie_mjx.control.law import target
 from cassie_mjx.motion.reference import RAMP_PER_S, ReferenceMotion, mix_qpos, sample
-from cassie_mjx.physics.types import Array, namespace
 from cassie_mjx.robot import cassie
-from cassie_mjx.robot.model import CONTROL_PERIOD_S
+from cassie_mjx.robot.arrays import Array, namespace
+from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
 
 HOLD_S = 4.0
 """Time that the ramp stays at either end of the chain, s: between five and six strides."""
@@ -35,24 +35,23 @@ FILTER_S = 0.352
 KEENNESS = 0.5
 """How much faster, m/s, `adaptive` tells a robot to walk for each m/s that it is too slow."""
 
-Act: TypeAlias = Callable[[Array], Array]
-"""A deterministic policy: observation [B, 80] to action [B, 10]."""
-
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Progress:
-    """What a blended walk remembers.
+    """What a blended walk carries from step to step.
 
     Attributes:
       phase: sample of the stride, [B], int32, 0 to N - 1.
       step: control steps since the schedule began, [B], int32.
       speed: velocity of the pelvis along x, `filtered`, [B], m/s.
+      sensing: of each policy's observation, [B, H - 1, F].
     """
 
     phase: Array
     step: Array
     speed: Array
+    sensing: tuple[Array, ...] = ()
 
 
 Schedule: TypeAlias = Callable[[Progress, Sequence[float]], Array]
@@ -71,11 +70,6 @@ def check_chain(motions: Sequence[ReferenceMotion]) -> None:
         )
 
 
-def mean_speed(motion: ReferenceMotion) -> float:
-    """Mean speed of a reference, m/s."""
-    return float(motion.stride_length) / (motion.qpos.shape[0] * CONTROL_PERIOD_S)
-
-
 def blended_sample(motions: Sequence[ReferenceMotion], position: Array, phase: Array) -> tuple[Array, Array]:
     """The blended reference: (qpos [B, 35], qvel [B, 32]).
 
@@ -87,7 +81,7 @@ def blended_sample(motions: Sequence[ReferenceMotion], position: Array, phase: A
       position: of the robots along the chain, [B], 0 to n - 1.
       phase: control steps since a stride began, [B], integers; beyond the stride the next one follows.
     """
-    states = [sample(motion, phase, 0 * phase) for motion in motions]
+    states = [sample(motion, phase) for motion in motions]
     (qpos1, qpos2, lam), (qvel1, qvel2, _) = (_neighbours(values, position) for values in zip(*states, strict=True))
     # lambda x1 + (1 - lambda) x2
     return mix_qpos(qpos1, qpos2, lam), lam * qvel1 + (1 - lam) * qvel2
@@ -102,32 +96,19 @@ def advance(motions: Sequence[ReferenceMotion], position: Array, phase: Array) -
     return now - before
 
 
-def pd_target(
-    policies: Sequence[Act],
-    motions: Sequence[ReferenceMotion],
-    position: Array,
-    phase: Array,
-    qpos: Array,
-    qvel: Array,
-) -> Array:
+def pd_target(residuals: Sequence[Array], motions: Sequence[ReferenceMotion], position: Array, phase: Array) -> Array:
     """PD targets of the blended walk, to be held for the control step that ends at `phase`, [B, 10], rad.
 
     Args:
-      policies: n of them.
-      motions: the reference of each; a policy sees its own.
+      residuals: of each policy on its own reference, n of [B, 10], rad.
+      motions: the reference of each.
       position: of the robots along the chain, [B], 0 to n - 1.
       phase: control steps since a stride began, [B], integers.
-      qpos: of the robots as sensed, [B, 35].
-      qvel: of the robots as sensed, [B, 32].
     """
-    actions = [
-        policy(observation.build(qpos, qvel, *sample(motion, phase, 0 * phase)))
-        for policy, motion in zip(policies, motions, strict=True)
-    ]
     # lambda mu1(x, x1) + (1 - lambda) mu2(x, x2)
-    action1, action2, lam = _neighbours(actions, position)
+    residual1, residual2, lam = _neighbours(residuals, position)
     reference, _ = blended_sample(motions, position, phase)
-    return reference[:, cassie.ACTIVE_QPOS] + lam * action1 + (1 - lam) * action2
+    return target(reference, lam * residual1 + (1 - lam) * residual2)
 
 
 def filtered(speed: Array, velocity: Array) -> Array:

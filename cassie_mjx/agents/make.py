@@ -6,15 +6,15 @@ from cassie_mjx.agents.blend import BLEND_PREFIX, BlendAgent
 from cassie_mjx.agents.blending import SCHEDULES
 from cassie_mjx.agents.heuristic import CONTROLLER_PREFIX, HeuristicAgent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
-from cassie_mjx.agents.policy import PolicyAgent
+from cassie_mjx.agents.policy import PolicyAgent, saved_agent
 from cassie_mjx.agents.policy_file import policy_path, shipped_policies
-from cassie_mjx.evaluation.trial import Subject
+from cassie_mjx.agents.types import Agent
 from cassie_mjx.heuristic.config import CONTROLLERS
 
 
 @dataclass(frozen=True)
 class AgentConfig:
-    """What walks: the first keys of a command that has one subject."""
+    """What walks: the first keys of a command that has one agent."""
 
     policy: str = "1x"
     """What walks: a policy that we ship, a policy's .npz file, a run's directory (its best policy), "controller:stiff",
@@ -24,13 +24,13 @@ class AgentConfig:
     schedule: str | None = None
     """How a blend changes: "ramp", to its last policy and back in time, or "adaptive", against the loss of speed."""
 
-    def subject(self) -> Subject:
-        """The subject of these names; see `resolve`."""
+    def agent(self) -> Agent:
+        """The agent of these names; see `make_agent`."""
         return make_agent(self.policy, self.speed, self.schedule)
 
 
-def make_agent(name: str, speed: str | None = None, schedule: str | None = None) -> Subject:
-    """The subject of that name: a policy, a blend of policies, or a controller.
+def make_agent(name: str, speed: str | None = None, schedule: str | None = None) -> Agent:
+    """The agent of that name: a policy, a blend of policies, or a controller.
 
     Args:
       name: a policy that we ship, its .npz file or a training run's directory; "blend:POLICY,POLICY,...", two or
@@ -39,7 +39,7 @@ def make_agent(name: str, speed: str | None = None, schedule: str | None = None)
       schedule: how a blend goes from its first policy to its last, one of `SCHEDULES`.
 
     Raises:
-      ValueError: there is no such subject, or two; it takes no such speed or schedule; or its file is damaged.
+      ValueError: there is no such agent, or two; it takes no such speed or schedule; or its file is damaged.
     """
     if name.startswith(BLEND_PREFIX) != (schedule is not None):
         known = " or ".join(SCHEDULES)
@@ -54,10 +54,10 @@ def make_agent(name: str, speed: str | None = None, schedule: str | None = None)
     return make_policy_agent(name, speed)
 
 
-def make_policy_agent(name: str, speed: str | None = None) -> "PolicyAgent":
-    """The policy of that name, told to walk at `speed`; see `resolve`."""
+def make_policy_agent(name: str, speed: str | None = None) -> PolicyAgent:
+    """The policy of that name, told to walk at `speed`; see `make_agent`."""
     path = policy_path(name)
     if path is None:
         known = ", ".join([*shipped_policies(), *(CONTROLLER_PREFIX + preset for preset in CONTROLLERS)])
         raise ValueError(f"policy={name} is none of {known}, nor a policy's .npz file, nor a run's directory.")
-    return PolicyAgent(name, NumpyPolicy.load(path), speed)
+    return saved_agent(name, NumpyPolicy.load(path), speed)

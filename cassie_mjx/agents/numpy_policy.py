@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cassie_mjx.control.network import Network, action
+
 FORMAT = "cassie-mjx policy"
 VERSION = 1
 
@@ -107,15 +109,11 @@ class NumpyPolicy:
         if self.mirror is None:
             return self._mode(x)
         second = self.mirror.second_step(x)
-        action = self._mode(np.where(second, _reflected(x, self.mirror.observation), x))
-        return np.where(second, _reflected(action, self.mirror.action), action)
+        residual = self._mode(np.where(second, _reflected(x, self.mirror.observation), x))
+        return np.where(second, _reflected(residual, self.mirror.action), residual)
 
     def _mode(self, x: np.ndarray) -> np.ndarray:
-        x = ((x - self.mean) / self.std).clip(-self.clip, self.clip)
-        *hidden, (output, output_bias) = self.weights
-        for weight, bias in hidden:
-            x = np.maximum(x @ weight + bias, 0)
-        return np.tanh(x @ output + output_bias)
+        return action(Network(self.mean, self.std, self.clip, self.weights), x)
 
     @classmethod
     def load(cls, path: str | Path) -> "NumpyPolicy":

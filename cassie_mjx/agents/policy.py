@@ -1,80 +1,143 @@
-"""What can be evaluated: heuristic walkers, trained policies and blends of them, each as a `Subject` of the sweeps."""
+"""A trained policy as an agent."""
 
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
-from cassie_mjx.agents.policy_file import learner_policy
-from cassie_mjx.control import observation
-from cassie_mjx.control.command import speed_factor
-from cassie_mjx.evaluation.returns import EPISODE_STEPS, STARTS, referee, walk_returns
-from cassie_mjx.evaluation.steady import WARM_UP_STRIDES, copied_along
-from cassie_mjx.evaluation.trial import Measured, Walker
-from cassie_mjx.motion.reference import ReferenceMotion, nearest_sample, sample, stretch
-from cassie_mjx.physics.types import Array, Disturbance, Physics, PhysicsState
+from cassie_mjx.agents.policy_file import control_law, learner_policy
+from cassie_mjx.agents.types import Sensed
+from cassie_mjx.control.law import ControlLaw, target
+from cassie_mjx.control.network import Network
+from cassie_mjx.control.observation import Seen
+from cassie_mjx.motion.command import Command, speed_factor
+from cassie_mjx.motion.reference import ReferenceMotion, sample, stretch
 from cassie_mjx.ppo import networks
 from cassie_mjx.robot import cassie
-from cassie_mjx.robot.model import CONTROL_PERIOD_S
+from cassie_mjx.robot.arrays import Array
+from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
+
+
+class PolicyCarry(NamedTuple):
+    """What a policy carries from step to step."""
+
+    time: Array
+    """Control step of the motion that it is at, [B], int32."""
+    sensing: Array
+    """Of the observation, [B, H - 1, F]."""
+
+
+def policy_step(
+    law: ControlLaw,
+    motion: ReferenceMotion,
+    network: Network,
+    carry: PolicyCarry,
+    sensed: Sensed,
+    command: Command | None,
+) -> tuple[Array, PolicyCarry]:
+    """PD targets [B, 10], rad, of a deterministic policy, and the next carry."""
+    ahead = sample(motion, carry.time + 1, command)
+    residual, sensing = law.act(network, carry.sensing, Seen(sensed.qpos, sensed.qvel, *ahead, command))
+    samples = motion.qpos.shape[0]
+    time = (carry.time + 1) % samples if motion.periodic else carry.time + 1
+    return target(ahead[0], residual), PolicyCarry(time, sensing)
 
 
 class PolicyAgent:
-    """A trained policy, deterministic, as a `Subject`; its memory is the sample of the reference it is at, [B]."""
+    """A trained policy, deterministic, as an `Agent`."""
 
-    period_s = CONTROL_PERIOD_S
+    period_s, needs_bodies = CONTROL_PERIOD_S, False
 
-    def __init__(self, name: str, saved: NumpyPolicy, speed: str | None = None) -> None:
-        """Take a saved policy, and a speed at which it is told to walk, if not its own.
+    def __init__(
+        self,
+        name: str,
+        law: ControlLaw,
+        motion: ReferenceMotion,
+        network: Network,
+        kd_scale: float = 1.0,
+        provenance: Mapping[str, Any] | None = None,
+        step: Callable[..., Any] | None = None,
+    ) -> None:
+        """Compile the policy.
 
-        Raises:
-          ValueError: it was made for another layout of the observation or for gains that no engine of ours has, or its
-            reference cannot have that speed.
+        Args:
+          name: of the agent.
+          law: what it observes and what its actions mean.
+          motion: what it imitates.
+          network: the actor.
+          kd_scale: factor on the D gains.
+          provenance: where it came from.
+          step: `policy_step` with law and motion bound, compiled already with the network as an argument: for many
+            networks one after another. Unless given, it is compiled for this network.
         """
-        self.damping = float(saved.d_gain[0] / cassie.D_GAIN[0])
-        if not (np.allclose(saved.d_gain, self.damping * cassie.D_GAIN) and np.allclose(saved.p_gain, cassie.P_GAIN)):
-            raise ValueError(f"policy={name} has PD gains other than the published ones with all D scaled alike.")
-        self.name, self.provenance = name if speed is None else f"{name} speed={speed}", saved.provenance
-        policy = learner_policy(saved)
-        self.motion = ReferenceMotion(
-            jnp.asarray(saved.reference_qpos, jnp.float32),
-            jnp.asarray(saved.reference_qvel, jnp.float32),
-            jnp.asarray(saved.reference_stride_length, jnp.float32),
-        )
-        if speed is not None and speed_factor(speed) != saved.speed:
-            if saved.speed == 0:
-                raise ValueError(f"policy={name} with speed={speed}: a reference at 0x has no speed to be stretched.")
-            self.motion = stretch(self.motion, speed_factor(speed) / saved.speed)
-        mode = partial(networks.mode, policy)
-        self.mode = jax.jit(observation.symmetric(mode) if saved.mirror else mode)
-        self._target = jax.jit(self._pd_target)
+        self.name, self.law, self.motion, self.network = name, law, motion, network
+        self.kd_scale, self.provenance = kd_scale, provenance or {}
+        bound = partial(policy_step, law, motion, network)
+        self._step = jax.jit(bound) if step is None else partial(step, network)
+        self._init = jax.jit(self._carry)
 
-    def start(self, physics: Physics, phases: np.ndarray) -> Walker:
-        """See `Subject.start`: one robot walks nine strides from the reference, and is copied along the tenth."""
-        samples = len(self.motion.qpos)
-        qpos, qvel = sample(self.motion, np.zeros(1, int), np.zeros(1, int))
-        walker = Walker(physics.init(np.asarray(qpos, float), np.asarray(qvel, float)), np.zeros(1, np.int32))
-        steps = samples * WARM_UP_STRIDES + nearest_sample(phases, samples)
-        return copied_along(self, physics, walker, steps)
+    @property
+    def lead(self) -> "PolicyAgent":
+        """See `Agent.lead`."""
+        return self
 
-    def returns(self, physics: Physics, delay: int = 0) -> list[Measured]:
-        """See `Subject.returns`."""
-        disturbance = replace(Disturbance.none(STARTS), delay=np.full(STARTS, delay, np.int32))
-        figures = walk_returns(self.mode, referee(self.motion, physics), disturbance)
-        unit = f"of {EPISODE_STEPS}"
-        return [Measured(name, figures[name], unit, STARTS) for name in ("return_plain", "return_weighted")]
+    @property
+    def stride_acts(self) -> int:
+        """See `Agent.stride_acts`."""
+        return self.motion.qpos.shape[0]
 
-    def act(self, physics: Physics, seen: PhysicsState, memory: np.ndarray) -> tuple[Array, np.ndarray]:
-        """See `Subject.act`."""
-        return self._target(seen.qpos, seen.qvel, memory), (memory + 1) % len(self.motion.qpos)
+    def acts_before(self, stride: int) -> int:
+        """See `Agent.acts_before`."""
+        return stride * self.stride_acts
 
-    def carried(self, memory: np.ndarray, offset: np.ndarray) -> np.ndarray:
-        """See `Subject.carried`: a policy remembers no place."""
-        return memory
+    def initial_state(self, robots: int) -> tuple[np.ndarray, np.ndarray]:
+        """See `Agent.initial_state`: the first sample of the motion."""
+        qpos, qvel = sample(self.motion, np.zeros(robots, int))
+        return np.asarray(qpos, float), np.asarray(qvel, float)
 
-    def _pd_target(self, qpos: Array, qvel: Array, phase: Array) -> jax.Array:
-        ahead, ahead_velocity = sample(self.motion, phase + 1, jnp.zeros_like(phase))
-        action = self.mode(observation.build(qpos, qvel, ahead, ahead_velocity))
-        return ahead[:, cassie.ACTIVE_QPOS] + action
+    def init(self, sensed: Sensed, time: Array | None = None) -> PolicyCarry:
+        """See `Agent.init`; `time` [B] is the control step of the motion that robots are at, 0 unless given."""
+        time = np.zeros(len(sensed.qpos), np.int32) if time is None else time
+        return jax.tree.map(np.asarray, self._init(sensed, time))
+
+    def step(self, carry: PolicyCarry, sensed: Sensed, command: Command | None) -> tuple[Array, PolicyCarry]:
+        """See `Agent.step`."""
+        return self._step(carry, sensed, command)
+
+    def moved(self, carry: PolicyCarry, offset: np.ndarray) -> PolicyCarry:
+        """See `Agent.moved`: a policy remembers no place."""
+        return carry
+
+    def take_over(self, carry: PolicyCarry) -> PolicyCarry:
+        """See `Agent.take_over`."""
+        return carry
+
+    def _carry(self, sensed: Sensed, time: Array) -> PolicyCarry:
+        seen = Seen(sensed.qpos, sensed.qvel, *sample(self.motion, time + 1))
+        return PolicyCarry(time, self.law.init(seen))
+
+
+def saved_agent(name: str, saved: NumpyPolicy, speed: str | None = None) -> PolicyAgent:
+    """The agent of a saved policy, and of a speed at which it is told to walk, if not its own.
+
+    Raises:
+      ValueError: it was made for another layout of the observation or for gains that no engine of ours has, or its
+        reference cannot have that speed.
+    """
+    kd_scale = float(saved.d_gain[0] / cassie.D_GAIN[0])
+    if not (np.allclose(saved.d_gain, kd_scale * cassie.D_GAIN) and np.allclose(saved.p_gain, cassie.P_GAIN)):
+        raise ValueError(f"policy={name} has PD gains other than the published ones with all D scaled alike.")
+    network = networks.acting(learner_policy(saved))
+    arrays = (saved.reference_qpos, saved.reference_qvel, saved.reference_stride_length)
+    qpos, qvel, stride_length = (jnp.asarray(array, jnp.float32) for array in arrays)
+    motion = ReferenceMotion(qpos, qvel, stride_length)
+    if speed is not None and speed_factor(speed) != saved.speed:
+        if saved.speed == 0:
+            raise ValueError(f"policy={name} with speed={speed}: a reference at 0x has no speed to be stretched.")
+        motion = stretch(motion, speed_factor(speed) / saved.speed)
+    told = name if speed is None else f"{name} speed={speed}"
+    return PolicyAgent(told, control_law(saved), motion, network, kd_scale, saved.provenance)

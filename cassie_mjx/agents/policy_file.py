@@ -13,12 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from cassie_mjx.agents.numpy_policy import FORMAT, MIRROR_ARRAYS, VERSION, Mirror, NumpyPolicy
-from cassie_mjx.control import observation
+from cassie_mjx.control.law import ControlLaw
+from cassie_mjx.control.observation import OBSERVATIONS, Seen
 from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.ppo import networks, normalizer
 from cassie_mjx.ppo.types import Normalizer, Policy
 from cassie_mjx.robot import cassie
 
+FULL_LAW = ControlLaw()
+"""The paper's 80-D state, and both steps learned."""
 FOLDER = Path(__file__).parent / "policies"
 
 
@@ -48,9 +51,9 @@ def save_policy(
     policy: Policy,
     motion: ReferenceMotion,
     speed: float,
-    damping: float,
+    kd_scale: float,
     provenance: Mapping[str, Any],
-    symmetric: bool = False,
+    law: ControlLaw = FULL_LAW,
 ) -> None:
     """Write a policy file, whole or not at all.
 
@@ -59,9 +62,9 @@ def save_policy(
       policy: actor and input statistics.
       motion: what the policy was trained to follow, stretched already.
       speed: by which factor.
-      damping: factor on the D gains of the PD law that holds its targets.
+      kd_scale: factor on the D gains of the PD law that holds its targets.
       provenance: anything JSON can hold.
-      symmetric: whether it learned one of the stride's two steps alone.
+      law: what it observes, and what its actions mean.
 
     Raises:
       OSError: it cannot be written; a file of that name is as it was.
@@ -84,11 +87,11 @@ def save_policy(
         "reference_stride_length": motion.stride_length,
         "joints": cassie.ACTUATORS,
         "p_gain": cassie.P_GAIN,
-        "d_gain": damping * cassie.D_GAIN,
-        "observation": observation.describe(),
+        "d_gain": kd_scale * cassie.D_GAIN,
+        "observation": law.observation.describe(),
     }
-    if symmetric:
-        arrays |= dict(zip(MIRROR_ARRAYS, _mirror(), strict=True))
+    if law.symmetric:
+        arrays |= dict(zip(MIRROR_ARRAYS, _mirror(law), strict=True))
     partial = path.with_name(path.name + ".partial")
     try:
         with partial.open("wb") as file:
@@ -101,36 +104,55 @@ def save_policy(
         raise OSError(f"The policy {path} could not be written ({error.strerror or error}).") from error
 
 
-def _mirror() -> Mirror:
-    """The mirror of this version's observations and actions."""
-    return Mirror(
-        observation.MIRROR, cassie.mirror_active(1 + np.arange(cassie.NU)), 1 + observation.REFERENCE_HIP_PITCH
-    )
+def control_law(saved: NumpyPolicy) -> ControlLaw:
+    """What a saved policy observes, and what its actions mean.
+
+    Raises:
+      ValueError: its observation is none of this version's, or its mirror is not this version's.
+    """
+    lines = list(saved.observation)
+    observation = next((known for known in OBSERVATIONS.values() if known.describe() == lines), None)
+    if observation is None:
+        new = [line for line in lines if line not in OBSERVATIONS["full"].describe()]
+        raise ValueError(
+            f"The policy observes {'; '.join(new) or len(lines)}, which this version's observation has not; use the "
+            "version it was trained with, named in its provenance."
+        )
+    law = ControlLaw(observation, saved.mirror is not None)
+    if saved.mirror and not all(map(np.array_equal, saved.mirror, _mirror(law))):
+        raise ValueError(
+            "The policy's mirror is not this version's; use the version it was trained with, named in its provenance."
+        )
+    return law
+
+
+def _mirror(law: ControlLaw) -> Mirror:
+    """The mirror of a law's observations and actions, as a policy file has it."""
+    permutation, sign = law.observation.mirror
+    # The reference's hip pitch angles are where an observation of these numbers, and of nothing else, has them.
+    probe = np.zeros((1, cassie.NQ))
+    probe[:, cassie.HIP_PITCH_QPOS] = 1, 2
+    nothing, still = np.zeros_like(probe), np.zeros((1, cassie.NV))
+    seen = Seen(nothing, still, probe, still)
+    observation, _ = law.observation.update(law.init(seen), seen)
+    sides = np.array([1 + np.flatnonzero(observation[0] == value)[0] for value in (1, 2)])
+    return Mirror(sign * (1 + permutation), cassie.mirror_active(1 + np.arange(cassie.NU)), sides)
 
 
 def learner_policy(saved: NumpyPolicy) -> Policy:
     """The same policy for `ppo.networks`, without noise: to be evaluated on an accelerator, or trained further.
 
-    Of one with a mirror it is what it does in the first step; `observation.symmetric` makes that whole.
+    Of one with a mirror it is what it does in the first step; `control_law` makes that whole.
 
     Raises:
       ValueError: it was trained on another layout of the observation, with another bound on its inputs or another
         mirror, or for another robot, than this version's.
     """
-    differing = [line for line in saved.observation if line not in observation.describe()]
-    if differing or len(saved.observation) != len(observation.describe()):
-        raise ValueError(
-            f"The policy observes {'; '.join(differing) or len(saved.observation)}, which this version's observation "
-            "has not; use the version it was trained with, named in its provenance."
-        )
+    control_law(saved)
     if saved.clip != normalizer.CLIP:
         raise ValueError(
             f"The policy bounds its inputs at {saved.clip:g} standard deviations, this version at {normalizer.CLIP:g}; "
             "use the version it was trained with, named in its provenance."
-        )
-    if saved.mirror and not all(map(np.array_equal, saved.mirror, _mirror())):
-        raise ValueError(
-            "The policy's mirror is not this version's; use the version it was trained with, named in its provenance."
         )
     stride = saved.reference_qpos.shape[1:], saved.reference_qvel.shape[1:]
     if saved.joints != cassie.ACTUATORS or stride != ((cassie.NQ,), (cassie.NV,)):

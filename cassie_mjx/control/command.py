@@ -1,36 +1,46 @@
-"""What a robot is commanded: the speed, as people name it."""
+"""Where robots are along the reference motion, and what they are told: pure functions of a `MotionState`."""
 
-FACTORS = "a factor from 0x to 4x, such as 2x or 1.5x"
+from typing import NamedTuple
 
-
-def speed_factor(speed: str) -> float:
-    """The factor that a speed such as "2x" or "1.5" names.
-
-    Raises:
-        ValueError: it is not a number from 0 to 4, with or without an x.
-    """
-    return _factor(speed, FACTORS)
+from cassie_mjx.motion.command import Command
+from cassie_mjx.motion.reference import RAMP_PER_S, ReferenceMotion, mean_speed, sample
+from cassie_mjx.robot.arrays import Array, namespace
+from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X
 
 
-def speed_factors(speed: str) -> tuple[float, tuple[float, float]]:
-    """What a training's speed asks for: a factor on the motion, and the range of those commanded on top.
+class MotionState(NamedTuple):
+    """Where each robot is along the reference motion and in its episode."""
 
-    "2x" is 2 and (1, 1); "any" is 1 and (0, 4).
+    time: Array
+    """Control steps since the motion began, [B], int32."""
+    step: Array
+    """Control steps since the episode began, [B], int32."""
+    command: Command
+    """What robots are told now, leaves [B]."""
+    target_command: Command
+    """What the command moves to at a limited pace, leaves [B]; no robot senses it."""
+    origin_x: Array
+    """Where the path begins: world x of the point where the motion's x is 0, [B], m."""
 
-    Raises:
-        ValueError: it is neither "any" nor a factor from 0 to 4.
-    """
-    if speed == "any":
-        return 1.0, (0.0, 4.0)
-    return _factor(speed, f"{FACTORS}, or any for all of them"), (1.0, 1.0)
+
+def reference(motion: ReferenceMotion, state: MotionState, ahead: int = 0) -> tuple[Array, Array]:
+    """The motion as commanded, in the world, `ahead` control steps from now: (qpos [B, 35], qvel [B, 32])."""
+    qpos, qvel = sample(motion, state.time + ahead, state.command)
+    x = qpos[:, PELVIS_X] + state.origin_x
+    xp = namespace(qpos, state.origin_x)
+    return xp.concatenate([x[:, None], qpos[:, PELVIS_X + 1 :]], axis=1), qvel
 
 
-def _factor(speed: str, valid: str) -> float:
-    try:
-        factor = float(speed.removesuffix("x"))
-    except ValueError:
-        factor = -1.0
-    # The paper's range: beyond 4 the legs cannot follow the stretched stride.
-    if not 0 <= factor <= 4:
-        raise ValueError(f"speed={speed} is not a speed; give {valid}.")
-    return factor
+def tick(state: MotionState) -> MotionState:
+    """One control step later."""
+    return state._replace(time=state.time + 1, step=state.step + 1)
+
+
+def approach(motion: ReferenceMotion, state: MotionState) -> MotionState:
+    """The same moment with a command nearer to its target, by 0.625 of the motion's speed a second; x does not jump."""
+    xp = namespace(state.command.forward)
+    step = RAMP_PER_S * CONTROL_PERIOD_S * mean_speed(motion)
+    change = xp.clip(state.target_command.forward - state.command.forward, -step, step)
+    command = Command(state.command.forward + change)
+    before, after = (sample(motion, state.time, told)[0][:, PELVIS_X] for told in (state.command, command))
+    return state._replace(command=command, origin_x=state.origin_x + before - after)

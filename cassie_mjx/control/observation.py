@@ -1,125 +1,171 @@
-"""The 80-D observation as one table: what is where, and in which unit; and its mirror image.
+"""Observations as lists of terms: what is where, in which unit and frame, its mirror image, its noise and its history.
 
-Source: Xie et al. 2018: 40 numbers of the robot and the same 40 of the reference motion; pelvis x is left out.
+Array functions for NumPy and JAX alike, over robots (axis B). A new term is a line here; a list of terms has a name
+that the configuration of the task knows (`OBSERVATIONS`).
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from cassie_mjx.physics.types import Array
+from cassie_mjx.motion.command import Command
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.arrays import Array, namespace
+from cassie_mjx.robot.rotation import align
 
 
-class Entry(NamedTuple):
-    """One group of the robot's half of the observation."""
+class Seen(NamedTuple):
+    """What an observation is made of, all in the frame of the path."""
+
+    qpos: Array
+    """Of the robots as sensed, [B, 35]."""
+    qvel: Array
+    """Of the robots as sensed, [B, 32]."""
+    reference_qpos: Array
+    """Of the reference motion one control step ahead, [B, 35]."""
+    reference_qvel: Array
+    """Of the reference motion one control step ahead, [B, 32]."""
+    command: Command | None = None
+    """What the robots are told; None where an agent has one speed alone."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """One group of numbers in an observation."""
 
     name: str
-    source: str
-    """Which of qpos and qvel it is read from."""
-    addresses: np.ndarray
-    """Where in qpos or qvel."""
     unit: str
+    frame: str
+    compute: Callable[[Seen], Array]
+    """Its values, [B, size]."""
+    permutation: np.ndarray
+    """[size], which of its numbers the mirror image in the plane y = 0 has in each place."""
+    sign: np.ndarray
+    """[size], with which sign."""
+    noise: float = 0.0
+    """Half-width of the uniform noise that training adds to each number, in the term's unit."""
+    history: int = 1
+    """Control steps that are observed, the present one included, newest first."""
+
+    @property
+    def size(self) -> int:
+        """Numbers of one control step."""
+        return len(self.sign)
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """A list of terms: lays them side by side, term by term, and each term's history newest first."""
+
+    terms: tuple[Term, ...]
+
+    @property
+    def size(self) -> int:
+        """Numbers in an observation, O."""
+        return sum(term.size * term.history for term in self.terms)
+
+    @cached_property
+    def noise(self) -> np.ndarray:
+        """Half-widths of the noise on what one control step adds, [F]."""
+        return np.concatenate([np.full(term.size, term.noise, np.float32) for term in self.terms])
+
+    @cached_property
+    def mirror(self) -> tuple[np.ndarray, np.ndarray]:
+        """Permutation and sign, [O] each, that take an observation to its mirror image in the plane y = 0."""
+        permutations, signs, start = [], [], 0
+        for term in [each for each in self.terms for _ in range(each.history)]:
+            permutations.append(start + term.permutation)
+            signs.append(term.sign)
+            start += term.size
+        return np.concatenate(permutations), np.concatenate(signs)
+
+    def init(self, seen: Seen) -> Array:
+        """The carry of robots that have always seen this: earlier frames, newest first, [B, H - 1, F]."""
+        frame = self._frame(seen)
+        longest = max(term.history for term in self.terms)
+        return namespace(frame).repeat(frame[:, None], longest - 1, axis=1)
+
+    def update(self, carry: Array, seen: Seen, noise: Array | float = 0.0) -> tuple[Array, Array]:
+        """An observation [B, O], and the next carry.
+
+        Args:
+          carry: of `init` or the last `update`.
+          seen: what there is to see now.
+          noise: added to the present frame, [B, F], in the terms' units.
+        """
+        frame = self._frame(seen)
+        xp = namespace(frame)
+        if self.noise.any():
+            frame = frame + noise
+        if not carry.shape[1]:
+            return frame, carry
+        frames = xp.concatenate([frame[:, None], carry], axis=1)
+        parts, start = [], 0
+        for term in self.terms:
+            recent = frames[:, : term.history, start : start + term.size]
+            parts.append(recent.reshape(len(frame), -1))
+            start += term.size
+        return xp.concatenate(parts, axis=1), frames[:, :-1]
+
+    def mirrored(self, observation: Array) -> Array:
+        """Observations [..., O] reflected in the plane y = 0: what was seen of the left leg is seen of the right."""
+        permutation, sign = self.mirror
+        return observation[..., permutation] * sign
+
+    def describe(self) -> list[str]:
+        """A line for each term: slice, content, unit."""
+        lines, start = [], 0
+        for term in self.terms:
+            stop = start + term.size * term.history
+            past = f", {term.history} control steps" if term.history > 1 else ""
+            lines.append(f"{start}:{stop} {term.name}{term.frame and f' ({term.frame})'}{past} [{term.unit}]")
+            start = stop
+        return lines
+
+    def _frame(self, seen: Seen) -> Array:
+        values = [term.compute(seen) for term in self.terms]
+        return namespace(*values).concatenate(values, axis=1)
 
 
 _SENSED = [*cassie.ACTUATORS[:5], *cassie.SPRUNG_NAMES[:2], *cassie.ACTUATORS[5:], *cassie.SPRUNG_NAMES[2:]]
-TABLE = (
-    Entry("pelvis y, z (world)", "qpos", np.array([1, 2]), "m"),
-    Entry("pelvis orientation (w, x, y, z)", "qpos", np.arange(3, 7), "1"),
-    Entry("pelvis velocity (world)", "qvel", np.arange(0, 3), "m/s"),
-    Entry("pelvis angular velocity (pelvis frame)", "qvel", np.arange(3, 6), "rad/s"),
-    Entry("joint angles: " + ", ".join(_SENSED), "qpos", cassie.qpos_index(*_SENSED), "rad"),
-    Entry("joint velocities, same order", "qvel", cassie.qvel_index(*_SENSED), "rad/s"),
-)
-_ADDRESSES = np.concatenate([entry.addresses + (cassie.NQ if entry.source == "qvel" else 0) for entry in TABLE])
-HALF = len(_ADDRESSES)
-SIZE = 2 * HALF
 
 
-def _mirror_places() -> np.ndarray:
-    qpos, qvel = np.split(1 + np.arange(cassie.NQ + cassie.NV), [cassie.NQ])
-    sources = np.concatenate([cassie.mirror_qpos(qpos), cassie.mirror_qvel(qvel)])[_ADDRESSES]
-    places = np.array([1 + np.flatnonzero(abs(source) - 1 == _ADDRESSES)[0] for source in sources])
-    return np.sign(np.tile(sources, 2)) * np.concatenate([places, HALF + places])
+def _state_term(half: str, name: str, unit: str, frame: str, source: str, addresses: np.ndarray) -> Term:
+    """The numbers at `addresses` of qpos or qvel, of the robot or of the reference."""
+    field = source if half == "robot" else f"reference_{source}"
+    mirror, size = (cassie.mirror_qpos, cassie.NQ) if source == "qpos" else (cassie.mirror_qvel, cassie.NV)
+    image = mirror(1 + np.arange(size))[addresses]
+    places = np.array([np.flatnonzero(abs(number) - 1 == addresses)[0] for number in image])
+
+    def compute(seen: Seen) -> Array:
+        return getattr(seen, field)[:, addresses]
+
+    return Term(f"{half} {name}", unit, frame, compute, places, np.sign(image))
 
 
-MIRROR = _mirror_places()
-"""[80], the reflection of an observation: places, from 1 on, that its numbers come from, with the sign they get."""
-HIP_PITCH = cassie.qpos_index("left-hip-pitch", "right-hip-pitch")
-REFERENCE_HIP_PITCH = HALF + np.array([np.flatnonzero(address == _ADDRESSES)[0] for address in HIP_PITCH])
-"""Where an observation has the reference's hip pitch angles, left and right."""
+def _orientation(term: Term) -> Term:
+    """The term with its quaternion's sign, which means nothing, brought to that of the reference's."""
+
+    def compute(seen: Seen) -> Array:
+        return align(term.compute(seen), seen.reference_qpos[:, cassie.PELVIS_QUATERNION])
+
+    return replace(term, compute=compute)
 
 
-def build(qpos: Array, qvel: Array, reference_qpos: Array, reference_qvel: Array) -> jax.Array:
-    """Observations, [B, 80]: the robot's half, then the reference's, each as in `TABLE`.
-
-    Args:
-      qpos: of the robots as sensed, [B, 35].
-      qvel: of the robots as sensed, [B, 32].
-      reference_qpos: of the reference motion one control step ahead, [B, 35].
-      reference_qvel: of the reference motion one control step ahead, [B, 32].
-    """
-    robots = jnp.concatenate([qpos, qvel], axis=-1)[..., _ADDRESSES]
-    reference = jnp.concatenate([reference_qpos, reference_qvel], axis=-1)[..., _ADDRESSES]
-    return jnp.concatenate([robots, reference], axis=-1)
+def _state_terms(half: str) -> tuple[Term, ...]:
+    """Xie et al. 2018: 40 numbers of the robot, and the same 40 of the reference motion; pelvis x is left out."""
+    return (
+        _state_term(half, "pelvis y, z", "m", "world", "qpos", np.array([cassie.PELVIS_Y, cassie.PELVIS_Z])),
+        _orientation(_state_term(half, "pelvis orientation", "1", "w, x, y, z", "qpos", cassie.PELVIS_QUATERNION)),
+        _state_term(half, "pelvis velocity", "m/s", "world", "qvel", cassie.PELVIS_VELOCITY),
+        _state_term(half, "pelvis angular velocity", "rad/s", "pelvis frame", "qvel", cassie.PELVIS_ANGULAR_VELOCITY),
+        _state_term(half, "joint angles: " + ", ".join(_SENSED), "rad", "", "qpos", cassie.qpos_index(*_SENSED)),
+        _state_term(half, "joint velocities, same order", "rad/s", "", "qvel", cassie.qvel_index(*_SENSED)),
+    )
 
 
-def mirror(seen: Array) -> Array:
-    """Reflect observations [..., 80] in the plane y = 0: what was seen of the left leg is seen of the right one."""
-    return seen[..., abs(MIRROR) - 1] * np.sign(MIRROR)
-
-
-def second_step(hip_pitch: Array) -> jax.Array:
-    """Whether a reference is in the second of its two steps, mirror images: left hip pitch less than the right one's.
-
-    Args:
-      hip_pitch: the reference's hip pitch angles, left and right, [..., 2], rad.
-
-    Returns:
-      [..., 1], bool.
-    """
-    left, right = jnp.split(hip_pitch, 2, axis=-1)
-    return left < right
-
-
-def folded(seen: Array) -> jax.Array:
-    """Observations [..., 80], those of the second step as in a mirror."""
-    return jnp.where(second_step(seen[..., REFERENCE_HIP_PITCH]), mirror(seen), seen)
-
-
-def unfolded(action: jax.Array, hip_pitch: Array) -> jax.Array:
-    """What actions [..., 10] on folded observations are in the world: those of the second step as in a mirror.
-
-    Args:
-      action: residuals on the reference angles of the active joints, rad.
-      hip_pitch: the reference's hip pitch angles, left and right, [..., 2], rad.
-    """
-    image: jax.Array = cassie.mirror_active(action)
-    return jnp.where(second_step(hip_pitch), image, action)
-
-
-def symmetric(act: Callable[[jax.Array], jax.Array]) -> Callable[[Array], jax.Array]:
-    """The policy of both steps that does in the second, as in a mirror, what `act` does in the first.
-
-    Args:
-      act: observations [..., 80] to actions [..., 10].
-    """
-
-    def act_in_both(seen: Array) -> jax.Array:
-        return unfolded(act(folded(seen)), seen[..., REFERENCE_HIP_PITCH])
-
-    return act_in_both
-
-
-def describe() -> list[str]:
-    """A line for each group of the observation: slice, content, unit."""
-    lines, start = [], 0
-    for half in ("robot", "reference"):
-        for entry in TABLE:
-            stop = start + len(entry.addresses)
-            lines.append(f"{start}:{stop} {half} {entry.name} [{entry.unit}]")
-            start = stop
-    return lines
+OBSERVATIONS = {"full": Observation((*_state_terms("robot"), *_state_terms("reference")))}
+"""Lists of terms by name; "full" is the 80-D state of Xie et al. 2018."""

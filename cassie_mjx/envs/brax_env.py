@@ -10,11 +10,12 @@ from brax import base
 from brax.envs.base import PipelineEnv, State
 from brax.io import mjcf
 
+from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.types import WalkState
-from cassie_mjx.envs.walk import WalkConfig, WalkEnv
+from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.reference import ReferenceMotion
-from cassie_mjx.physics.mjx import MjxPhysics
-from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_mjx_model, steps_per_control, xml_path
+from cassie_mjx.physics.make import make_physics
+from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, steps_per_control, xml_path
 
 
 @jax.tree_util.register_dataclass
@@ -52,19 +53,19 @@ class CassieEnv(PipelineEnv):
           model: rate, contacts and solver of the physics.
 
         Raises:
-          ValueError: the task draws disturbances; Brax hands a step no key to draw them with.
+          ValueError: the task draws scenarios; Brax hands a step no key to draw them with.
         """
-        if config is not None and config.disturbance.active:
+        if config is not None and config.scenario.active:
             raise ValueError(
-                f"disturbance={config.disturbance} is not for CassieEnv, for Brax hands a step no random key; "
-                "train with cassie_mjx.train, or without disturbances."
+                f"scenario={config.scenario} is not for CassieEnv, for Brax hands a step no random key; "
+                "train with cassie_mjx.train, or without scenarios."
             )
         # Brax asks for a system of its own; it serves for rendering and sizes, not for stepping.
         scene = mujoco.MjModel.from_xml_path(str(xml_path("flat")))
         scene.opt.timestep = 1 / model.physics_hz
         super().__init__(mjcf.load_model(scene), backend="mjx", n_frames=steps_per_control(model.physics_hz))
         endless = replace(config or WalkConfig(), episode_steps=2**30)
-        physics = MjxPhysics(load_mjx_model(model), damping=endless.damping)
+        physics = make_physics("mjx", model)
         self._walk = WalkEnv(physics, motion, endless, robots=1)
 
     def reset(self, rng: jax.Array) -> State:

@@ -1,67 +1,50 @@
-"""Where robots are along the reference motion, and how its speed changes: pure functions of a `Clock`."""
-
-from dataclasses import replace
+"""The commands of training: which speeds robots are told, and where the motion of an episode begins."""
 
 import jax
 import jax.numpy as jnp
 
-from cassie_mjx.envs.scenario import CREST_X_M
-from cassie_mjx.envs.types import Clock
-from cassie_mjx.motion.reference import RAMP_PER_S, ReferenceMotion, sample, stretch_states
-from cassie_mjx.robot import cassie
-from cassie_mjx.robot.model import CONTROL_PERIOD_S
-
-_X = int(cassie.PELVIS_POSITION[0])
+from cassie_mjx.control.command import MotionState, reference
+from cassie_mjx.motion.command import Command
+from cassie_mjx.motion.reference import ReferenceMotion, mean_speed
+from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X
+from cassie_mjx.robot.ground import CREST_X_M
 
 
-def start(motion: ReferenceMotion, phase: jax.Array, speed: jax.Array, terrain: jax.Array) -> Clock:
+def start_motion(motion: ReferenceMotion, time: jax.Array, command: Command, ground: jax.Array) -> MotionState:
     """The first moment of episodes.
 
     Args:
-      motion: the stride.
-      phase: sample of the stride that they start at, [B].
-      speed: factor on the motion's speed, [B], now and as commanded.
-      terrain: height h of the ground, [B], m; where it is above 0, the pelvis starts above a crest.
+      motion: what is imitated.
+      time: control step of the motion that they start at, [B].
+      command: what they are told, now and as a target.
+      ground: height h of the ground, [B], m; where it is above 0, the pelvis starts above a crest.
     """
-    zeros = jnp.zeros_like(phase)
-    clock = Clock(phase, zeros, zeros, speed, speed, jnp.zeros_like(speed))
-    first, _ = reference(motion, clock)
-    return replace(clock, origin_x=(terrain > 0) * (CREST_X_M - first[:, _X]))
+    state = MotionState(time, jnp.zeros_like(time), command, command, jnp.zeros_like(command.forward))
+    first, _ = reference(motion, state)
+    return state._replace(origin_x=(ground > 0) * (CREST_X_M - first[:, PELVIS_X]))
 
 
-def reference(motion: ReferenceMotion, clock: Clock, ahead: int = 0) -> tuple[jax.Array, jax.Array]:
-    """The motion at each robot's speed, `ahead` control steps from now: (qpos [B, 35], qvel [B, 32])."""
-    qpos, qvel = stretch_states(*sample(motion, clock.phase + ahead, clock.stride), clock.speed)
-    return qpos.at[:, _X].add(clock.origin_x), qvel
+def command_of(motion: ReferenceMotion, factor: jax.Array) -> Command:
+    """The command to walk at a factor [B] on the motion's own speed."""
+    return Command(factor * jnp.asarray(mean_speed(motion), jnp.float32))
 
 
-def tick(motion: ReferenceMotion, clock: Clock) -> Clock:
-    """One control step later."""
-    phase, samples = clock.phase + 1, motion.qpos.shape[0]
-    return replace(clock, phase=phase % samples, stride=clock.stride + phase // samples, step=clock.step + 1)
-
-
-def draw_speed(key: jax.Array, robots: int, speeds: tuple[float, float]) -> jax.Array:
-    """Speeds to command, [robots], from the range `speeds`: one in ten its lowest, one in ten its highest.
+def draw_factor(key: jax.Array, robots: int, factors: tuple[float, float]) -> jax.Array:
+    """Factors on the motion's speed, [robots], from the range `factors`: one in ten its least, one in ten its greatest.
 
     Robots that move from speed to speed would seldom be at the ends of the range otherwise.
     """
-    low, high = speeds
+    low, high = factors
     margin = (high - low) / 8
     return jax.random.uniform(key, (robots,), minval=low - margin, maxval=high + margin).clip(low, high)
 
 
-def commanded(clock: Clock, key: jax.Array, speeds: tuple[float, float], mean_s: float) -> Clock:
-    """The same moment, after which some robots are commanded another speed: each every `mean_s` seconds on average."""
+def redraw_target(
+    motion: ReferenceMotion, state: MotionState, key: jax.Array, factors: tuple[float, float], mean_s: float
+) -> MotionState:
+    """The same moment, after which some robots have another target: each every `mean_s` seconds on average."""
     when_key, speed_key = jax.random.split(key)
-    new = jax.random.bernoulli(when_key, CONTROL_PERIOD_S / mean_s, clock.command.shape)
-    return replace(clock, command=jnp.where(new, draw_speed(speed_key, len(new), speeds), clock.command))
-
-
-def paced(motion: ReferenceMotion, clock: Clock) -> Clock:
-    """The same moment at a speed nearer to the one commanded, by 0.625 a second; x does not jump."""
-    step = RAMP_PER_S * CONTROL_PERIOD_S
-    speed = clock.speed + jnp.clip(clock.command - clock.speed, -step, step)
-    x = sample(motion, clock.phase, clock.stride)[0][:, _X]
-    # x0' + s' x = x0 + s x
-    return replace(clock, speed=speed, origin_x=clock.origin_x + (clock.speed - speed) * x)
+    targets = state.target_command.forward
+    new = jax.random.bernoulli(when_key, CONTROL_PERIOD_S / mean_s, targets.shape)
+    drawn = command_of(motion, draw_factor(speed_key, len(new), factors)).forward
+    return state._replace(target_command=Command(jnp.where(new, drawn, targets)))

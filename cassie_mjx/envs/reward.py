@@ -10,8 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cassie_mjx.physics.types import Array
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.arrays import Array
+from cassie_mjx.robot.rotation import align
 
 
 class Terms(NamedTuple):
@@ -50,10 +51,12 @@ def terms(scale: Scale, qpos: Array, reference: Array) -> Terms:
     """
     # r = exp(-sum of scaled squared errors)
     error = jnp.square(qpos - reference)
+    wanted = reference[..., cassie.PELVIS_QUATERNION]
+    orientation = jnp.square(align(qpos[..., cassie.PELVIS_QUATERNION], wanted) - wanted)
     return Terms(
         joint=jnp.exp(-(error[..., cassie.ACTIVE_QPOS] * scale.joint).sum(axis=-1)),
         position=jnp.exp(-error[..., cassie.PELVIS_POSITION].sum(axis=-1)),
-        orientation=jnp.exp(-error[..., cassie.PELVIS_QUAT_VECTOR].sum(axis=-1)),
+        orientation=jnp.exp(-orientation[..., 1:].sum(axis=-1)),
         spring=jnp.exp(-scale.spring * error[..., cassie.SHIN_QPOS].sum(axis=-1)),
     )
 

@@ -1,4 +1,4 @@
-"""What disturbs the robots in training: drawn at random for each of them, as part of the task."""
+"""The scenarios of training: what is drawn at random for each robot, as part of the task."""
 
 import math
 from dataclasses import dataclass, fields, replace
@@ -6,21 +6,20 @@ from dataclasses import dataclass, fields, replace
 import jax
 import jax.numpy as jnp
 
-from cassie_mjx.physics.types import Array, Disturbance, merge
-from cassie_mjx.robot.model import CONTROL_PERIOD_S, steps_per_control
+from cassie_mjx.physics.types import Scenario, merge
+from cassie_mjx.robot.arrays import Array
+from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
+from cassie_mjx.robot.model import steps_per_control
 
 PUSH_S = 0.2
 """Duration of a push, s (Xie et al. 2018)."""
-
-CREST_X_M = math.pi / 2
-"""Where robots start on the terrain z = h sin x, m: a crest is level; elsewhere a foot would start inside the slope."""
 
 TERRAIN_HEIGHTS = 8
 """Heights above 0 that terrain is drawn from, evenly spaced: MuJoCo C compiles a model for each."""
 
 
 @dataclass(frozen=True)
-class DisturbanceConfig:
+class ScenarioConfig:
     """How far robots are disturbed; the default is not at all. What is drawn is uniform from 0 to the value given."""
 
     push_n: float = 0.0
@@ -51,14 +50,17 @@ class DisturbanceConfig:
         return math.ceil(self.delay_s * physics_hz - 1e-9)
 
 
-def draw(config: DisturbanceConfig, key: jax.Array, robots: int, physics_hz: float) -> Disturbance:
-    """Disturbances of whole episodes, up to the end of their first push.
+def draw_scenario(
+    config: ScenarioConfig, key: jax.Array, robots: int, physics_hz: float, kd_scale: float = 1.0
+) -> Scenario:
+    """Scenarios of whole episodes, up to the end of their first push.
 
     Args:
       config: the ranges.
       key: used up here.
       robots: B.
       physics_hz: physics steps a second.
+      kd_scale: factor on the D gains of all robots.
     """
     force_key, direction_key, pause_key, terrain_key, delay_key = jax.random.split(key, 5)
     force = jax.random.uniform(force_key, (robots, 1), maxval=config.push_n)
@@ -69,18 +71,19 @@ def draw(config: DisturbanceConfig, key: jax.Array, robots: int, physics_hz: flo
     longest = math.ceil(config.push_pause_s / CONTROL_PERIOD_S)
     start = jax.random.randint(pause_key, (robots,), 0, longest + 1) * steps_per_control(physics_hz)
     level = jax.random.randint(terrain_key, (robots,), 0, TERRAIN_HEIGHTS + 1)
-    return Disturbance(
+    return Scenario(
         push=force * jnp.stack([forward, left, jnp.zeros(robots)], axis=1),
         push_start=start,
         push_stop=start + round(PUSH_S * physics_hz),
         delay=jax.random.randint(delay_key, (robots,), 0, config.delay_steps(physics_hz) + 1),
-        terrain=level * (config.terrain_m / TERRAIN_HEIGHTS),
+        ground=level * (config.terrain_m / TERRAIN_HEIGHTS),
+        kd_scale=jnp.full(robots, kd_scale),
     )
 
 
-def renew(
-    config: DisturbanceConfig, key: jax.Array, present: Disturbance, step: Array, ended: Array, physics_hz: float
-) -> Disturbance:
+def renew_scenario(
+    config: ScenarioConfig, key: jax.Array, present: Scenario, step: Array, ended: Array, physics_hz: float
+) -> Scenario:
     """What acts from the next control step on: a new push where the last is over, all anew where the episode is.
 
     Args:
@@ -91,7 +94,8 @@ def renew(
       ended: robots that start a new episode, [B], bool.
       physics_hz: physics steps a second.
     """
-    fresh = draw(config, key, len(step), physics_hz)
+    fresh = draw_scenario(config, key, len(step), physics_hz)
+    fresh = replace(fresh, kd_scale=present.kd_scale)
     pushed_again = replace(
         present, push=fresh.push, push_start=step + fresh.push_start, push_stop=step + fresh.push_stop
     )

@@ -1,32 +1,54 @@
 """State of the walking task: pytrees with shape, unit and frame on every field (axis B: robots)."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 
-from cassie_mjx.physics.types import Array, Disturbance, PhysicsState
+from cassie_mjx.control.command import MotionState
+from cassie_mjx.physics.types import PhysicsState, Scenario
+from cassie_mjx.robot.arrays import Array
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Clock:
-    """Where each robot is along the reference motion and in its episode.
+class StartOffset(NamedTuple):
+    """How far off the reference motion robots begin."""
 
-    Attributes:
-      phase: sample of the stride, [B], int32, 0 to N - 1.
-      stride: strides since the start of the episode, [B], int32.
-      step: control steps since the start of the episode, [B], int32.
-      speed: factor on the motion's speed along x at present, which robots are told, [B].
-      command: the factor that `speed` moves to; no robot senses it, [B].
-      origin_x: world x of the point where the motion's x is 0, [B], m.
-    """
+    velocity: Array
+    """What the pelvis' velocity along x and y is on top of the reference's, [B, 2], m/s."""
+    y: Array
+    """How far to the left of the reference the pelvis is, [B], m."""
 
-    phase: Array
-    stride: Array
-    step: Array
-    speed: Array
-    command: Array
-    origin_x: Array
+
+class Start(NamedTuple):
+    """The first moment of episodes."""
+
+    qpos: Array
+    """[B, 35]."""
+    qvel: Array
+    """[B, 32]."""
+    motion: MotionState
+    observation: Array
+    """[B, O]."""
+    sensing: Array
+    """Carry of the observation, [B, H - 1, F]."""
+
+
+class StepOutcome(NamedTuple):
+    """What a control step led to, besides the physics of the robots that go on."""
+
+    start: Start
+    """Where the robots that ended begin anew."""
+    scenario: Scenario
+    motion: MotionState
+    observation: Array
+    final_observation: Array
+    sensing: Array
+    privileged: Array
+    final_privileged: Array
+    reward: Array
+    terminated: Array
+    truncated: Array
+    metrics: dict[str, Array]
 
 
 @jax.tree_util.register_dataclass
@@ -36,25 +58,26 @@ class WalkState:
 
     Attributes:
       physics: state of the engine.
-      disturbance: what acts on the robots besides their motors.
-      clock: where they are along the reference motion.
-      observation: what the policy acts on next, [B, 80]; in a symmetric task `observation.folded`, and so is the final
-        one.
-      final_observation: what the last step led to, before any reset, [B, 80].
+      scenario: what differs from robot to robot.
+      motion: where they are along the reference motion, and what they are told.
+      sensing: what the observation carries from step to step, [B, H - 1, F]; empty without history.
+      observation: what the policy acts on next, [B, O]; in a symmetric task as `ControlLaw.observe` gives it, in a
+        mirror where the reference is in its second step, and so is the final one.
+      final_observation: what the last step led to, before any reset, [B, O].
       privileged: what no robot senses but a critic may see, [B, 1]: how far it is ahead of the reference motion, in
         units of 0.25 m, within +-10.
       final_privileged: the same before any reset, [B, 1].
       reward: of the last step, [B], 0 to 1.
-      terminated: the last step ended the episode in a fall, a NaN, too low a reward or too far from the
-        reference, [B], bool.
-      truncated: the last step was the last of a full-length episode, [B], bool.
+      terminated: the last step ended the episode by one of `termination.Ends`, [B], bool.
+      truncated: the last step was the last of a full-length episode or of the motion, [B], bool.
       metrics: of the last step, each [B]: the unweighted reward terms, `plain` and `weighted` rewards, and 0 or 1 for
-        each of `walk.ENDS`.
+        each of `termination.Ends`.
     """
 
     physics: PhysicsState
-    disturbance: Disturbance
-    clock: Clock
+    scenario: Scenario
+    motion: MotionState
+    sensing: Array
     observation: Array
     final_observation: Array
     privileged: Array

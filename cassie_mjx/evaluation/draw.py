@@ -84,7 +84,9 @@ def open_renderer(scene: mujoco.MjModel, width: int, height: int) -> mujoco.Rend
     return mujoco.Renderer(scene, height, width)
 
 
-def draw(renderer: mujoco.Renderer, shots: Iterable[Shot], camera: str, terrain: float = 0.0) -> Iterator[np.ndarray]:
+def draw_frames(
+    renderer: mujoco.Renderer, shots: Iterable[Shot], camera: str, terrain: float = 0.0
+) -> Iterator[np.ndarray]:
     """Frames [height, width, 3], uint8, of the shots; a push is an arrow whose head is at the pelvis.
 
     Args:

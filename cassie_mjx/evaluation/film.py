@@ -3,15 +3,20 @@
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 
+from cassie_mjx.agents.types import Agent, AgentState
 from cassie_mjx.envs.scenario import PUSH_S
-from cassie_mjx.evaluation.trial import Subject, Trial, Walker, decide, disturbances, fallen, placed
-from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.robot import cassie
-from cassie_mjx.robot.model import ModelConfig, load_model
+from cassie_mjx.envs.termination import has_fallen, height_over_ground
+from cassie_mjx.evaluation.simulate import Moment, act_steps, simulate
+from cassie_mjx.evaluation.steady import steady
+from cassie_mjx.evaluation.trial import Trial, placed, scenario_of
+from cassie_mjx.physics.make import make_physics
+from cassie_mjx.physics.types import Physics, Scenario
+from cassie_mjx.robot.model import ModelConfig
 
 # A film goes on for so long after a fall.
 AFTER_FALL_S = 1.0
@@ -30,46 +35,52 @@ class Shot(NamedTuple):
     """Time of the first frame that showed a fallen robot; None as long as it is up."""
 
 
-def begin(subject: Subject, trial: Trial, phase: float) -> tuple[NativePhysics, Walker]:
+def begin(agent: Agent, trial: Trial, phase: float) -> tuple[Physics, AgentState]:
     """The engine of a trial, and the one robot that starts it in steady walking at `phase` of its stride, 0 to 1."""
-    physics = NativePhysics(load_model(ModelConfig()), trial.delay, threads=1, damping=subject.damping)
-    starts = subject.start(physics, np.array([phase]))
-    if trial.terrain:
-        physics = NativePhysics(
-            load_model(ModelConfig(scene="terrain")), trial.delay, threads=1, damping=subject.damping
-        )
-    return physics, placed(subject, starts, [trial])
+    flat, hills = (
+        make_physics("native", ModelConfig(scene=scene), trial.delay, threads=1) for scene in ("flat", "terrain")
+    )
+    starts = steady(agent, flat, np.array([phase]))
+    return hills if trial.terrain else flat, placed(agent, starts, [trial])
 
 
-def film(subject: Subject, trial: Trial, phase: float = 0.0, push_at: float = 0.0, fps: float = 30.0) -> Iterator[Shot]:
-    """Conduct a trial, and see it `fps` times a second from its start on, until it ends or a second after a fall.
+def film(agent: Agent, trial: Trial, phase: float = 0.0, push_at: float = 0.0, fps: float = 30.0) -> Iterator[Shot]:
+    """Run a trial, and see it `fps` times a second from its start on, until it ends or a second after a fall.
 
     Args:
-      subject: what walks.
+      agent: what walks.
       trial: what it is put through; `start` does not matter.
       phase: phase of the stride at the start, 0 to 1.
-      push_at: time of the push, s, rounded up to the next act; the heading is that of this moment.
+      push_at: time of the push, s, rounded up to the next step of the agent; the heading is that of this moment.
       fps: 1/s.
     """
-    physics, (state, memory) = begin(subject, replace(trial, start=0), phase)
-    hertz = 1 / physics.model.opt.timestep
-    act_steps, push_steps = round(subject.period_s * hertz), round(PUSH_S * hertz)
-    push_step = act_steps * math.ceil(push_at * hertz / act_steps - 1e-9)
-    unpushed = replace(trial, push=(0.0, 0.0))
-    disturbance = disturbances([unpushed if push_step else trial], state, push_steps)
-    now, target, fell_s = 0, np.zeros((1, cassie.NU)), None
-    for frame in range(math.ceil(trial.seconds * fps - 1e-9)):
-        step = round(frame / fps * hertz)
-        while now < step:
-            if now % act_steps == 0:
-                target, memory = decide(subject, physics, Walker(state, memory), disturbance)
-            steps = min(step, now - now % act_steps + act_steps) - now
-            state, now = physics.advance(state, target, disturbance, steps), now + steps
-            if now == push_step:
-                disturbance = disturbances([trial], state, push_steps)
-        pushed = disturbance.push_start <= state.step < disturbance.push_stop
-        if fell_s is None and fallen(state.qpos, disturbance.terrain)[0]:
-            fell_s = frame / fps
-        yield Shot(frame / fps, state.qpos[0], disturbance.push[0] * pushed, fell_s)
-        if fell_s is not None and frame / fps >= fell_s + AFTER_FALL_S:
+    physics, robots = begin(agent, replace(trial, start=0), phase)
+    hertz, steps = 1 / physics.model.opt.timestep, act_steps(agent, physics)
+    push_step = steps * math.ceil(push_at * hertz / steps - 1e-9)
+    frames = [round(frame / fps * hertz) for frame in range(math.ceil(trial.seconds * fps - 1e-9))]
+    fell_s = None
+    for frame, (moment, scenario) in enumerate(_watched(agent, physics, robots, trial, push_step, frames)):
+        state, time_s = moment.robots.physics, frame / fps
+        pushed = scenario.push_start <= state.step < scenario.push_stop
+        if fell_s is None and has_fallen(height_over_ground(state.qpos, scenario.ground))[0]:
+            fell_s = time_s
+        yield Shot(time_s, state.qpos[0], scenario.push[0] * pushed, fell_s)
+        if fell_s is not None and time_s >= fell_s + AFTER_FALL_S:
             return
+
+
+def _watched(
+    agent: Agent, physics: Physics, robots: AgentState, trial: Trial, push_step: int, frames: list[int]
+) -> Iterator[tuple[Moment, Scenario]]:
+    """The robot at each frame, given in physics steps since the start; it is pushed from `push_step` on."""
+    push_steps = round(PUSH_S / physics.model.opt.timestep)
+    before = [step for step in frames if step < push_step]
+    scenario = scenario_of(agent, [replace(trial, push=(0.0, 0.0))], robots.physics, push_steps)
+    after = [step - push_step for step in frames[len(before) :]]
+    for moment in simulate(agent, physics, robots, scenario, chain(before, [push_step] if after else [])):
+        robots = moment.robots
+        if moment.step < push_step:
+            yield moment, scenario
+    scenario = scenario_of(agent, [trial], robots.physics, push_steps)
+    for moment in simulate(agent, physics, robots, scenario, after):
+        yield moment, scenario

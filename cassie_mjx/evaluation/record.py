@@ -6,14 +6,19 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 
-from cassie_mjx.evaluation.trial import SPEED_WINDOW_S, EpisodeResult, Trial, fallen, height_over_ground
-from cassie_mjx.physics.types import Array, merge, namespace
-from cassie_mjx.robot.model import CONTROL_PERIOD_S
+from cassie_mjx.envs.termination import has_fallen, height_over_ground
+from cassie_mjx.evaluation.trial import EpisodeResult, Trial
+from cassie_mjx.physics.types import PhysicsState, Scenario, delayed, merge
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.arrays import Array, namespace
+from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_POSITION, PELVIS_X
+
+SPEED_WINDOW_S = 5.0
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Record:
+class TrialRecord:
     """How each trial has gone so far; that of a trial which is over does not change any more.
 
     Attributes:
@@ -24,6 +29,7 @@ class Record:
       lowest: smallest height of the pelvis over the ground below it, [B], m.
       height: sum of that height over control steps, [B], m.
       effort: sum of `motor_effort` over control steps, [B, 2], N·m and W.
+      pending: the present control step's part of that sum, [B, 2].
       first: x and y of the pelvis at the start, [B, 2], m.
       late_x: x of the pelvis as the last 5 s begin, or now if they have not begun, [B], m.
       now: x and y of the pelvis now, [B, 2], m.
@@ -36,12 +42,13 @@ class Record:
     lowest: Array
     height: Array
     effort: Array
+    pending: Array
     first: Array
     late_x: Array
     now: Array
 
     @classmethod
-    def begin(cls, qpos: np.ndarray, trials: Sequence[Trial]) -> "Record":
+    def begin(cls, qpos: np.ndarray, trials: Sequence[Trial]) -> "TrialRecord":
         """Nothing has happened yet to robots at qpos [B, 35]."""
         zero, xy = np.zeros(len(qpos)), qpos[:, :2].copy()
         return cls(
@@ -52,13 +59,14 @@ class Record:
             lowest=zero + np.inf,
             height=zero,
             effort=np.zeros((len(qpos), 2)),
+            pending=np.zeros((len(qpos), 2)),
             first=xy,
             late_x=xy[:, 0],
             now=xy,
         )
 
     @property
-    def over(self) -> Array:
+    def finished(self) -> Array:
         """Whether the trial is over, [B]."""
         return self.fell | (self.steps >= self.trial_steps)
 
@@ -67,24 +75,26 @@ class Record:
         """Control steps over which the speed is taken."""
         return self.trial_steps.clip(0, round(SPEED_WINDOW_S / CONTROL_PERIOD_S))
 
-    def update(self, qpos: Array, terrain: Array, effort: Array) -> "Record":
-        """The record one control step on, which ended at qpos [B, 35] and took the mean `effort` [B, 2].
+    def sample(self, state: PhysicsState, target: Array, scenario: Scenario, share: float) -> "TrialRecord":
+        """See `simulate.Record.sample`."""
+        return replace(self, pending=self.pending + share * motor_effort(state, target, scenario))
 
-        A robot whose physics diverged in it has fallen; the rest of its record stays finite.
-        """
-        xp = namespace(qpos)
+    def update(self, state: PhysicsState, scenario: Scenario) -> "TrialRecord":
+        """See `simulate.Record.update`. A robot whose physics diverged has fallen; its record stays finite."""
+        xp, qpos, effort = namespace(state.qpos), state.qpos, self.pending
+        rested = replace(self, pending=xp.zeros_like(effort))
         diverged = ~(xp.isfinite(qpos).all(axis=1) & xp.isfinite(effort).all(axis=1))
-        height = height_over_ground(qpos, terrain)
-        counted = replace(self, steps=self.steps + 1, fell=fallen(qpos, terrain) | diverged)
+        height = height_over_ground(qpos, scenario.ground)
+        counted = replace(rested, steps=self.steps + 1, fell=has_fallen(height) | diverged)
         updated = replace(
             counted,
             lowest=xp.minimum(self.lowest, height),
             height=self.height + height,
             effort=self.effort + effort,
-            late_x=xp.where(counted.steps <= self.trial_steps - self._window, qpos[:, 0], self.late_x),
-            now=qpos[:, :2],
+            late_x=xp.where(counted.steps <= self.trial_steps - self._window, qpos[:, PELVIS_X], self.late_x),
+            now=qpos[:, PELVIS_POSITION[:2]],
         )
-        return merge(self.over, self, merge(diverged, counted, updated))
+        return merge(self.finished, rested, merge(diverged, counted, updated))
 
     def result(self) -> EpisodeResult:
         """What the trials that are over came to, [B], from a record of NumPy arrays; nothing for the others."""
@@ -102,3 +112,16 @@ class Record:
             torque_nm=torque,
             power_w=power,
         )
+
+
+def motor_effort(state: PhysicsState, target: Array, scenario: Scenario) -> Array:
+    """What PD targets [B, 10] (rad) ask of the motors at the joints, [B, 2].
+
+    Returns:
+      Mean over motors of |torque|, N·m, and sum over motors of max(torque x velocity, 0), W.
+    """
+    qpos, qvel = delayed(state, scenario)
+    q, qdot = qpos[:, cassie.ACTIVE_QPOS], qvel[:, cassie.ACTIVE_QVEL]
+    torque = cassie.pd_torque(target, q, qdot, scenario.kd_scale[:, None])
+    power = (torque * state.qvel[:, cassie.ACTIVE_QVEL]).clip(0)
+    return namespace(state.qpos).stack([abs(torque).mean(axis=1), power.sum(axis=1)], axis=1)

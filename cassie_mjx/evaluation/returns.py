@@ -1,70 +1,126 @@
-"""The return that every learning curve and headline figure is made of: undisturbed walking, deterministic policy."""
+"""The return that learning curves and headline figures are made of: a deterministic walk, ended by a fall alone."""
 
-from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass, replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from cassie_mjx.envs.walk import WalkConfig, WalkEnv
-from cassie_mjx.motion.reference import ReferenceMotion, nearest_sample
-from cassie_mjx.physics.native import NativePhysics
-from cassie_mjx.physics.types import Disturbance, Physics
-from cassie_mjx.robot.model import ModelConfig, load_model
+from cassie_mjx.agents.policy import PolicyAgent
+from cassie_mjx.agents.types import Agent, AgentState, Sensed
+from cassie_mjx.envs import reward
+from cassie_mjx.envs.termination import has_fallen, height_over_ground
+from cassie_mjx.evaluation.simulate import Simulation, run_to_end
+from cassie_mjx.evaluation.trial import Metric
+from cassie_mjx.motion.command import Command
+from cassie_mjx.motion.reference import ReferenceMotion, mean_speed, nearest_sample, sample
+from cassie_mjx.physics.types import Physics, PhysicsState, Scenario, merge, to_backend
+from cassie_mjx.robot.arrays import Array, namespace
+from cassie_mjx.robot.cassie import PELVIS_X, PELVIS_Z
+from cassie_mjx.robot.ground import height_below
 
 STARTS = 10
 EPISODE_STEPS = 300
 
-Act = Callable[[Any], Any]
-"""A deterministic policy: observation [B, 80] to action [B, 10]."""
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ReturnRecord:
+    """Sums of rewards so far; those of a robot that has fallen do not change any more.
 
-def referee(
-    motion: ReferenceMotion, physics: Physics | None = None, speeds: tuple[float, float] = (1.0, 1.0)
-) -> WalkEnv:
-    """The task that returns are measured on: ten robots, an episode ended by a fall alone.
-
-    Args:
-      motion: what to imitate.
-      physics: the engine; MuJoCo C at 2 kHz unless given.
-      speeds: lowest and highest factor on the motion's speed; the ten robots have ten from the one to the other.
+    Attributes:
+      time: control step of the motion, [B].
+      steps: control steps survived, [B].
+      fell: whether the robot has fallen, [B], bool.
+      plain: sum of the plain reward, [B].
+      weighted: sum of the weighted reward, [B].
+      command: what robots are told; None for the motion's own speed.
+      motion: what is imitated, from x = 0 on.
     """
-    physics = physics or NativePhysics(load_model(ModelConfig(physics_hz=2000)))
-    config = WalkConfig(episode_steps=EPISODE_STEPS, command_s=None, damping=physics.damping).to_the_fall()
-    return WalkEnv(physics, motion, config, STARTS, speeds)
+
+    time: Array
+    steps: Array
+    fell: Array
+    plain: Array
+    weighted: Array
+    command: Command | None
+    motion: ReferenceMotion
+
+    @property
+    def finished(self) -> Array:
+        """Whether the walk is over, [B]."""
+        return self.fell | (self.steps >= EPISODE_STEPS)
+
+    def sample(self, state: PhysicsState, target: Array, scenario: Scenario, share: float) -> "ReturnRecord":
+        """See `simulate.Record.sample`: rewards are of whole control steps."""
+        return self
+
+    def update(self, state: PhysicsState, scenario: Scenario) -> "ReturnRecord":
+        """See `simulate.Record.update`."""
+        time, xp = self.time + 1, namespace(state.qpos)
+        plain, weighted = to_backend(state, _rewards(self.motion, time, self.command, state.qpos, scenario.ground))
+        fell = has_fallen(height_over_ground(state.qpos, scenario.ground)) | ~xp.isfinite(state.qvel).all(axis=1)
+        up = ~self.finished
+        return replace(
+            self,
+            time=time,
+            steps=self.steps + (up & ~fell),
+            fell=self.fell | (up & fell),
+            plain=self.plain + up * plain,
+            weighted=self.weighted + up * weighted,
+        )
 
 
-def walk_returns(act: Act, env: WalkEnv, disturbance: Disturbance | None = None) -> dict[str, float]:
-    """Walk one episode from each of the phases k/B of the stride; rewards after a fall are 0.
+@jax.jit
+def _rewards(
+    motion: ReferenceMotion, time: Array, command: Command | None, qpos: Array, ground: Array
+) -> tuple[jax.Array, jax.Array]:
+    """Plain and weighted reward, [B]; 0 for a robot whose physics diverged."""
+    reference, _ = sample(motion, time, command)
+    nan = ~jnp.isfinite(qpos).all(axis=1)
+    qpos = merge(nan, reference, qpos)
+    # The reference walks on flat ground: its z counts from the ground below.
+    walked = qpos.at[:, PELVIS_Z].add(-height_below(ground, qpos[:, PELVIS_X]))
+    totals = (reward.total(reward.terms(reward.SCALES[name], walked, reference)) for name in ("plain", "weighted"))
+    plain, weighted = (jnp.where(nan, 0.0, total) for total in totals)
+    return plain, weighted
+
+
+def walk_returns(
+    agent: PolicyAgent, physics: Physics, speeds: tuple[float, float] = (1.0, 1.0), delay: int = 0
+) -> dict[str, float]:
+    """Walk one episode of 300 control steps from each of ten phases of the stride, k/10; rewards after a fall are 0.
 
     Args:
-      act: the policy.
-      env: B robots of an environment whose episodes only a fall or the time limit ends (`referee`).
-      disturbance: what the robots walk under from the first step on; nothing unless given.
+      agent: the policy.
+      physics: the engine.
+      speeds: lowest and highest factor on the motion's speed; the ten robots are told ten from the one to the other.
+      delay: age of what is sensed, physics steps.
 
     Returns:
-      Means over the B starts: `return_plain`, `return_weighted`, and `steps` survived, of `env.config.episode_steps`.
-
-    Raises:
-      ValueError: the environment ends episodes early, which would count as falls.
+      Means over the ten starts: `return_plain`, `return_weighted`, and `steps` survived, of 300.
     """
-    if env.config.ends_early:
-        raise ValueError("Returns are measured without early ends; use the configuration's to_the_fall().")
-    phase = nearest_sample(np.arange(env.robots) / env.robots, env.samples) % env.samples
-    state = env.reset_at(phase, disturbance or Disturbance.none(env.robots))
-    walking = np.ones(env.robots, bool)
-    phase_key = jax.random.key(0)  # of robots that walk on after a fall, which count no more
-    sums = {
-        "return_plain": np.zeros(env.robots),
-        "return_weighted": np.zeros(env.robots),
-        "steps": np.zeros(env.robots),
-    }
-    for _ in range(env.config.episode_steps):
-        state = env.step(state, np.asarray(act(state.observation)), phase_key)
-        for reward in ("plain", "weighted"):
-            sums[f"return_{reward}"] += walking * np.asarray(state.metrics[reward])
-        walking &= ~np.asarray(state.terminated)
-        sums["steps"] += walking
-        if not walking.any():
-            break
-    return {name: float(values.mean()) for name, values in sums.items()}
+    samples = agent.motion.qpos.shape[0]
+    time = (nearest_sample(np.arange(STARTS) / STARTS, samples) % samples).astype(np.int32)
+    command = None
+    if speeds != (1.0, 1.0):
+        command = Command(np.float32(mean_speed(agent.motion)) * np.linspace(*speeds, STARTS, dtype=np.float32))
+    qpos, qvel = sample(agent.motion, time, command)
+    state = physics.init(np.asarray(qpos, float), np.asarray(qvel, float))
+    scenario = Scenario.nominal(STARTS, kd_scale=np.asarray(agent.kd_scale), delay=np.int32(delay))
+    carry = agent.init(Sensed(state.qpos, state.qvel), time)
+    zeros = np.zeros(STARTS)
+    record = ReturnRecord(time, np.zeros(STARTS, int), zeros > 0, zeros, zeros, command, agent.motion)
+    simulation = Simulation(AgentState(state, carry), scenario, record, command)
+    record = run_to_end(agent, physics, simulation).record
+    sums = {"return_plain": record.plain, "return_weighted": record.weighted, "steps": record.steps}
+    return {name: float(np.mean(values)) for name, values in sums.items()}
+
+
+def agent_returns(agent: Agent, physics: Physics, delay: int = 0) -> list[Metric]:
+    """Returns of walking on the flat, sensing what was `delay` physics steps ago; none if it imitates nothing."""
+    if not isinstance(agent, PolicyAgent):
+        return []
+    found = walk_returns(agent, physics, delay=delay)
+    unit = f"of {EPISODE_STEPS}"
+    return [Metric(name, found[name], unit, STARTS) for name in ("return_plain", "return_weighted")]

@@ -1,7 +1,7 @@
-"""Trials of a walker, many side by side, on either engine.
+"""Trials of an agent, many side by side, on either engine.
 
-Every lane of the batch is in a trial of its own. A lane whose robot has fallen, or whose trial is over, takes the next
-trial at once, so no time goes into robots on the ground.
+Every place of the batch is in a trial of its own. A place whose robot has fallen, or whose trial is over, takes the
+next trial at once, so no time goes into robots on the ground.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,12 +11,14 @@ from typing import Any, Protocol, TypeAlias
 import jax
 import numpy as np
 
+from cassie_mjx.agents.types import Agent, AgentState
+from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.evaluation import simulate
-from cassie_mjx.evaluation.record import Record
-from cassie_mjx.evaluation.simulate import Flight
-from cassie_mjx.evaluation.trial import EpisodeResult, Subject, Trial, Walker, take
-from cassie_mjx.physics.mjx import MjxPhysics
-from cassie_mjx.physics.types import Array, Physics
+from cassie_mjx.evaluation.record import TrialRecord
+from cassie_mjx.evaluation.simulate import Simulation
+from cassie_mjx.evaluation.trial import EpisodeResult, Trial, placed, scenario_of, take
+from cassie_mjx.physics.types import Physics
+from cassie_mjx.robot.arrays import Array
 
 SMALLEST_BATCH = 8
 
@@ -24,7 +26,7 @@ Key: TypeAlias = tuple[int, ...]
 
 
 class Trials(Protocol):
-    """Where `conduct` takes its trials from."""
+    """Where `run` takes its trials from."""
 
     def next(self) -> tuple[Key, Trial] | None:
         """The next trial to begin and the key that its result goes under; None once there will be no more."""
@@ -39,48 +41,54 @@ class Trials(Protocol):
         ...
 
 
-Watch: TypeAlias = Callable[[int, int], None]
-"""Called after every advance of the lanes with the number of trials over and of robots walking."""
+Progress: TypeAlias = Callable[[int, int], None]
+"""Called every time that the robots have been advanced, with the number of trials over and of robots walking."""
 
 
-def conduct(
-    subject: Subject, physics: Physics, starts: Walker, trials: Trials, lanes: int = 64, watch: Watch | None = None
+def run(
+    agent: Agent,
+    physics: Physics,
+    starts: AgentState,
+    trials: Trials,
+    num_envs: int = 64,
+    progress: Progress | None = None,
 ) -> None:
-    """Conduct trials, `lanes` at a time, until there are no more; results go to `trials.ended`.
+    """Run trials, `num_envs` at a time, until there are no more; results go to `trials.ended`.
 
     Args:
-      subject: what walks.
-      physics: the engine, at any rate that fits the subject's period.
-      starts: walkers that a trial can start as.
+      agent: what walks.
+      physics: the engine, at any rate that fits the agent's period.
+      starts: robots that a trial can start as.
       trials: where trials come from and their results go.
-      lanes: robots side by side. On MuJoCo C the batch is halved when half of them have nothing to do.
-      watch: told of progress.
+      num_envs: robots side by side. On MuJoCo C the batch is halved when half of them have nothing to do.
+      progress: told how far it is.
 
     Raises:
-      ValueError: the subject's period does not divide the control step into whole physics steps.
+      ValueError: the agent's period does not divide the control step into whole physics steps, or a trial has a longer
+        delay than the engine is made for.
     """
-    batch, over = _Lanes(subject, physics, starts, lanes), 0
+    batch, over = _Batch(agent, physics, starts, num_envs), 0
     while batch.fill(trials):
         batch.advance()
-        over += batch.land(trials)
-        if watch is not None:
-            watch(over, sum(job is not None for job in batch.jobs))
+        over += batch.hand_in(trials)
+        if progress is not None:
+            progress(over, sum(job is not None for job in batch.jobs))
 
 
-def fly(
-    subject: Subject,
+def run_trials(
+    agent: Agent,
     physics: Physics,
-    starts: Walker,
+    starts: AgentState,
     trials: Sequence[Trial],
-    watch: Watch | None = None,
-    lanes: int | None = None,
+    progress: Progress | None = None,
+    num_envs: int | None = None,
 ) -> EpisodeResult:
-    """Conduct these trials, all of them side by side or `lanes` at a time; results [B] in their order.
+    """Run these trials, all of them side by side or `num_envs` at a time; results [B] in their order.
 
-    The other arguments are those of `conduct`.
+    The other arguments are those of `run`.
     """
     listed = _Listed(trials)
-    conduct(subject, physics, starts, listed, min(lanes or len(trials), len(trials)), watch)
+    run(agent, physics, starts, listed, min(num_envs or len(trials), len(trials)), progress)
     return jax.tree.map(lambda *values: np.array(values), *(listed.results[i,] for i in range(len(trials))))
 
 
@@ -88,7 +96,7 @@ class LimitSearch:
     """Trials that find how many levels of a disturbance each group survives without a gap, from the smallest level up.
 
     The level begun next is the smallest that is open in any group. Once a level has failed, no larger one of its group
-    is begun, flown to its end or counted, even if its robot is still up.
+    is begun, run to its end or counted, even if its robot is still up.
     """
 
     def __init__(self, trial: Callable[[int, int], Trial], groups: int, levels: int, together: bool = False) -> None:
@@ -145,53 +153,57 @@ class _Listed:
         self.results[key] = result
 
 
-class _Lanes:
-    """The lanes of `conduct`: robots in flight, and the job (key, trial) of each; a free lane has none."""
+class _Batch:
+    """The places of `run`: their simulation, and the job (key, trial) of each; a free place has none."""
 
-    def __init__(self, subject: Subject, physics: Physics, starts: Walker, lanes: int) -> None:
-        self.subject, self.physics, self.starts = subject, physics, starts
-        self.jobs: list[tuple[Key, Trial] | None] = [None] * lanes
-        self.flight = self._begin([_IDLE] * lanes)
+    def __init__(self, agent: Agent, physics: Physics, starts: AgentState, num_envs: int) -> None:
+        self.agent, self.physics, self.starts = agent, physics, starts
+        self.jobs: list[tuple[Key, Trial] | None] = [None] * num_envs
+        self.simulation = self._begin([_IDLE] * num_envs)
 
-    def _begin(self, trials: list[Trial]) -> Flight:
-        return simulate.begin(self.subject, self.physics, self.starts, trials)
+    def _begin(self, trials: list[Trial]) -> Simulation:
+        robots = placed(self.agent, self.starts, trials)
+        push_steps = round(PUSH_S / self.physics.model.opt.timestep)
+        scenario = scenario_of(self.agent, trials, robots.physics, push_steps)
+        simulate.check_agent(self.agent, self.physics, scenario)
+        return Simulation(robots, scenario, TrialRecord.begin(robots.physics.qpos, trials))
 
     def fill(self, trials: Trials) -> bool:
-        """Give every free lane a job; False when no job is left. Lanes still free start over, to do nothing."""
-        free = [lane for lane, job in enumerate(self.jobs) if job is None]
+        """Give every free place a job; False when no job is left. Places still free start over, to do nothing."""
+        free = [place for place, job in enumerate(self.jobs) if job is None]
         if free:
-            for lane in free:
-                self.jobs[lane] = trials.next()
-            begun = self._begin([_IDLE if (job := self.jobs[lane]) is None else job[1] for lane in free])
-            self.flight = _put(self.flight, np.array(free), begun)
+            for place in free:
+                self.jobs[place] = trials.next()
+            begun = self._begin([_IDLE if (job := self.jobs[place]) is None else job[1] for place in free])
+            self.simulation = _put(self.simulation, np.array(free), begun)
         # A batch of another size would have to be compiled anew.
-        if not isinstance(self.physics, MjxPhysics):
+        if not self.physics.traceable:
             self._halve()
         return any(self.jobs)
 
     def _halve(self) -> None:
-        """Halve the batch while half of its lanes have nothing to do."""
+        """Halve the batch while half of its places have nothing to do."""
         busy, size = sum(job is not None for job in self.jobs), len(self.jobs)
         while size > SMALLEST_BATCH and 2 * busy <= size:
             size //= 2
         if size < len(self.jobs):
-            keep = sorted(range(len(self.jobs)), key=lambda lane: self.jobs[lane] is None)[:size]
-            self.jobs = [self.jobs[lane] for lane in keep]
-            self.flight = take(self.flight, np.array(keep))
+            keep = sorted(range(len(self.jobs)), key=lambda place: self.jobs[place] is None)[:size]
+            self.jobs = [self.jobs[place] for place in keep]
+            self.simulation = take(self.simulation, np.array(keep))
 
     def advance(self) -> None:
-        """Let time pass for all lanes."""
-        self.flight = simulate.advance(self.subject, self.physics, self.flight)
+        """Let time pass for all places."""
+        self.simulation = simulate.advance(self.agent, self.physics, self.simulation)
 
-    def land(self, trials: Trials) -> int:
-        """Hand in the results of what is over now; returns how many. Lanes with unwanted trials become free, too."""
-        record: Record = jax.tree.map(np.asarray, self.flight.record)
-        over = [(lane, job) for lane, job in enumerate(self.jobs) if job is not None and record.over[lane]]
+    def hand_in(self, trials: Trials) -> int:
+        """Hand in the results of what is over now; returns how many. Places with unwanted trials become free, too."""
+        record: TrialRecord = jax.tree.map(np.asarray, self.simulation.record)
+        over = [(place, job) for place, job in enumerate(self.jobs) if job is not None and record.finished[place]]
         if over:
             results = record.result()
-            for lane, (key, _) in over:
-                trials.ended(key, jax.tree.map(itemgetter(lane), results))
-                self.jobs[lane] = None
+            for place, (key, _) in over:
+                trials.ended(key, jax.tree.map(itemgetter(place), results))
+                self.jobs[place] = None
         self.jobs = [job if job is not None and trials.wanted(job[0]) else None for job in self.jobs]
         return len(over)
 

@@ -1,127 +1,185 @@
-"""Robots in the middle of their trials, and how time passes for them: the same on both engines.
+"""How time passes: the one loop for engines on the host, and the one for engines that are traced.
 
-On MuJoCo C a control step is a loop on the host; on MJX many control steps are one compiled call.
+Both hold an agent's PD targets from one of its steps to the next, and let a record look on. On MuJoCo C the loop runs
+on the host; on MJX many control steps are one compiled call.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Iterator
 from functools import partial
-from typing import NamedTuple, TypeVar
+from itertools import repeat
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import jax
 import numpy as np
 
-from cassie_mjx.envs.scenario import PUSH_S
-from cassie_mjx.evaluation.record import Record
-from cassie_mjx.evaluation.trial import Subject, Trial, Walker, decide, disturbances, placed
-from cassie_mjx.physics.mjx import MjxPhysics
-from cassie_mjx.physics.types import Array, Disturbance, Physics, PhysicsState, delayed, namespace
-from cassie_mjx.robot import cassie
+from cassie_mjx.agents.types import Agent, AgentState, Carry, sense
+from cassie_mjx.motion.command import Command
+from cassie_mjx.physics.types import Physics, PhysicsState, Scenario, check_delay
+from cassie_mjx.robot.arrays import Array, namespace
 from cassie_mjx.robot.model import steps_per_control
 
-# The motors' torque is sampled at least this often, in physics steps, also between the acts of a slow subject.
+# Records look on at least this often, in physics steps, also between the steps of a slow agent.
 SAMPLE_STEPS = 8
 # Control steps in one compiled call, about a second: few calls, and yet progress to show and room for the next trials.
 COMPILED_CONTROL_STEPS = 31
 
-T = TypeVar("T")
+R = TypeVar("R", bound="Record")
 
 
-class Flight(NamedTuple):
-    """B robots, what disturbs them, and how they have done so far."""
+class Record(Protocol):
+    """What is kept of a simulation: a pytree, leaves [B], that returns the next of itself."""
 
-    walker: Walker
-    disturbance: Disturbance
-    record: Record
+    @property
+    def finished(self) -> Array:
+        """Robots of which nothing more is recorded, [B], bool."""
+        ...
+
+    def sample(self: R, state: PhysicsState, target: Array, scenario: Scenario, share: float) -> R:
+        """The record `share` of a control step on, in which the targets [B, 10] were held."""
+        ...
+
+    def update(self: R, state: PhysicsState, scenario: Scenario) -> R:
+        """The record at the end of a control step."""
+        ...
 
 
-def begin(subject: Subject, physics: Physics, starts: Walker, trials: Sequence[Trial]) -> Flight:
-    """Robots [B] about to begin these trials; arguments as in `sweeps.conduct`.
+class Simulation(NamedTuple):
+    """B robots, the scenario of each, and what is recorded of them."""
+
+    robots: AgentState
+    scenario: Scenario
+    record: Any
+    command: Command | None = None
+    """What they are told; None for each agent's own."""
+
+
+class Moment(NamedTuple):
+    """Robots as `simulate` shows them."""
+
+    step: int
+    """Physics steps since the start."""
+    robots: AgentState
+    target: Array
+    """PD targets held until now, [B, 10], rad."""
+
+
+def check_agent(agent: Agent, physics: Physics, scenario: Scenario) -> None:
+    """Raise ValueError unless the engine can simulate the agent in the scenario; for the door, before any tracing."""
+    check_delay(scenario, physics.max_delay)
+    act_steps(agent, physics)
+
+
+def act_steps(agent: Agent, physics: Physics) -> int:
+    """Physics steps from one step of the agent to the next.
 
     Raises:
-      ValueError: the engine's PD law is not the subject's.
+      ValueError: the agent's period does not divide the control step into whole physics steps.
     """
-    if subject.damping != physics.damping:
-        raise ValueError(
-            f"{subject.name} walks with damping={subject.damping:g}, this engine has {physics.damping:g}; "
-            "make it with the subject's."
-        )
-    walker = placed(subject, starts, trials)
-    disturbance = disturbances(trials, walker.physics, round(PUSH_S / physics.model.opt.timestep))
-    return Flight(walker, disturbance, Record.begin(walker.physics.qpos, trials))
+    hertz = 1 / physics.model.opt.timestep
+    steps = round(agent.period_s * hertz)
+    if steps < 1 or steps_per_control(hertz) % steps:
+        raise ValueError(f"{agent.name} acts every {agent.period_s:g} s, which does not divide 0.032 s.")
+    return steps
 
 
-def advance(subject: Subject, physics: Physics, flight: Flight) -> Flight:
-    """Let time pass for all robots: a control step on MuJoCo C; on MJX a compiled call of 31, or until all are over.
+def decide(
+    agent: Agent, physics: Physics, robots: AgentState, scenario: Scenario, command: Command | None
+) -> tuple[Array, Carry]:
+    """PD targets [B, 10], rad, of robots that sense their state as old as the scenario has it, and the next carry."""
+    sensed = sense(agent, physics, robots.physics, scenario)
+    target, carry = agent.step(robots.carry, sensed, command)
+    # What a robot with NaN in its state wants does not matter any more.
+    xp = namespace(sensed.qpos)
+    return xp.nan_to_num(xp.asarray(target, dtype=sensed.qpos.dtype)), carry
 
-    Raises:
-      ValueError: the subject's period does not divide the control step into whole physics steps.
+
+def simulate(
+    agent: Agent,
+    physics: Physics,
+    robots: AgentState,
+    scenario: Scenario,
+    stops: Iterable[int],
+    commands: Iterable[Command | None] = repeat(None),
+) -> Iterator[Moment]:
+    """The loop through time on the host: robots at each of the stops.
+
+    Args:
+      agent: what walks.
+      physics: the engine.
+      robots: at the start, B of them.
+      scenario: of each.
+      stops: physics steps since the start, rising, at which to look; 0 is the start itself.
+      commands: what robots are told at each step of the agent, one after another.
     """
-    step = _compiled_steps if isinstance(physics, MjxPhysics) else control_step
-    return step(subject, physics, flight)
+    now, steps, told = 0, act_steps(agent, physics), iter(commands)
+    target: Array = np.zeros((len(robots.physics.qpos), physics.model.nu))
+    for stop in stops:
+        while now < stop:
+            if now % steps == 0:
+                target, carry = decide(agent, physics, robots, scenario, next(told))
+                robots = AgentState(robots.physics, carry)
+            until = min(stop, now - now % steps + steps)
+            state = physics.advance(robots.physics, target, scenario, until - now)
+            robots, now = AgentState(state, robots.carry), until
+        yield Moment(now, robots, target)
+
+
+def advance(agent: Agent, physics: Physics, simulation: Simulation) -> Simulation:
+    """Let time pass for all robots: a control step on MuJoCo C; on MJX a compiled call of up to 31."""
+    return (_compiled_steps if physics.traceable else _host_step)(agent, physics, simulation)
+
+
+def run_to_end(agent: Agent, physics: Physics, simulation: Simulation) -> Simulation:
+    """Let time pass until all robots are finished."""
+    check_agent(agent, physics, simulation.scenario)
+    while not np.asarray(simulation.record.finished).all():
+        simulation = advance(agent, physics, simulation)
+    return simulation
+
+
+def _rhythm(agent: Agent, physics: Physics) -> tuple[int, int, int]:
+    """Physics steps from one look of the record to the next, looks in a step of the agent, and its steps in 32 ms."""
+    steps = act_steps(agent, physics)
+    chunk = math.gcd(steps, SAMPLE_STEPS)
+    return chunk, steps // chunk, steps_per_control(1 / physics.model.opt.timestep) // steps
+
+
+def _host_step(agent: Agent, physics: Physics, simulation: Simulation) -> Simulation:
+    """All robots a control step later, also those that are finished: only their record stands still."""
+    robots, scenario, record, command = simulation
+    chunk, looks, acts = _rhythm(agent, physics)
+    stops = range(chunk, chunk * looks * acts + 1, chunk)
+    for moment in simulate(agent, physics, robots, scenario, stops, repeat(command)):
+        robots = moment.robots
+        record = record.sample(robots.physics, moment.target, scenario, 1 / (looks * acts))
+    return Simulation(robots, scenario, record.update(robots.physics, scenario), command)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _compiled_steps(subject: Subject, physics: Physics, flight: Flight) -> Flight:
-    def going_on(carry: tuple[Array, Flight]) -> Array:
-        steps, flight = carry
-        return (steps < COMPILED_CONTROL_STEPS) & ~flight.record.over.all()
+def _compiled_steps(agent: Agent, physics: Physics, simulation: Simulation) -> Simulation:
+    """The loop through time that is traced: control steps, in each the agent's steps, in each the record's looks."""
+    scenario, command = simulation.scenario, simulation.command
+    chunk, looks, acts = _rhythm(agent, physics)
 
-    def step(carry: tuple[Array, Flight]) -> tuple[Array, Flight]:
-        steps, flight = carry
-        return steps + 1, control_step(subject, physics, flight)
+    def act(_: int, carry: tuple[AgentState, Any]) -> tuple[AgentState, Any]:
+        robots, record = carry
+        target, next_carry = decide(agent, physics, robots, scenario, command)
 
-    return jax.lax.while_loop(going_on, step, (0, flight))[1]
+        def look(_: int, carry: tuple[PhysicsState, Any]) -> tuple[PhysicsState, Any]:
+            state = physics.advance(carry[0], target, scenario, chunk)
+            return state, carry[1].sample(state, target, scenario, 1 / (looks * acts))
 
+        state, record = jax.lax.fori_loop(0, looks, look, (robots.physics, record))
+        return AgentState(state, next_carry), record
 
-def control_step(subject: Subject, physics: Physics, flight: Flight) -> Flight:
-    """All robots 32 ms later, also those whose trial is over: only their record stands still."""
-    walker, disturbance, record = flight
-    act_steps, acts = _rhythm(subject, physics)
-    chunk = math.gcd(act_steps, SAMPLE_STEPS)
+    def control_step(carry: tuple[Array, Simulation]) -> tuple[Array, Simulation]:
+        steps, (robots, _, record, _) = carry
+        robots, record = jax.lax.fori_loop(0, acts, act, (robots, record))
+        return steps + 1, Simulation(robots, scenario, record.update(robots.physics, scenario), command)
 
-    def act(carry: tuple[Walker, Array]) -> tuple[Walker, Array]:
-        walker, effort = carry
-        target, memory = decide(subject, physics, walker, disturbance)
+    def going_on(carry: tuple[Array, Simulation]) -> Array:
+        steps, simulation = carry
+        return (steps < COMPILED_CONTROL_STEPS) & ~simulation.record.finished.all()
 
-        def move(carry: tuple[PhysicsState, Array]) -> tuple[PhysicsState, Array]:
-            state = physics.advance(carry[0], target, disturbance, chunk)
-            return state, carry[1] + motor_effort(state, target, disturbance, physics.damping)
-
-        state, effort = _repeat(act_steps // chunk, move, (walker.physics, effort))
-        return Walker(state, memory), effort
-
-    walker, effort = _repeat(acts, act, (walker, namespace(record.effort).zeros_like(record.effort)))
-    effort = effort * (chunk / (acts * act_steps))
-    return Flight(walker, disturbance, record.update(walker.physics.qpos, disturbance.terrain, effort))
-
-
-def motor_effort(state: PhysicsState, target: Array, disturbance: Disturbance, damping: float) -> Array:
-    """What PD targets [B, 10] (rad) ask of the motors at the joints, [B, 2]; `damping` is the PD law's.
-
-    Returns:
-      Mean over motors of |torque|, N·m, and sum over motors of max(torque x velocity, 0), W.
-    """
-    qpos, qvel = delayed(state, disturbance)
-    torque = cassie.pd_torque(target, qpos[:, cassie.ACTIVE_QPOS], qvel[:, cassie.ACTIVE_QVEL], damping)
-    power = (torque * state.qvel[:, cassie.ACTIVE_QVEL]).clip(0)
-    return namespace(state.qpos).stack([abs(torque).mean(axis=1), power.sum(axis=1)], axis=1)
-
-
-def _rhythm(subject: Subject, physics: Physics) -> tuple[int, int]:
-    """Physics steps from act to act, and acts in a control step."""
-    hertz = 1 / physics.model.opt.timestep
-    act_steps = round(subject.period_s * hertz)
-    acts, rest = divmod(steps_per_control(hertz), max(act_steps, 1))
-    if rest or not acts:
-        raise ValueError(f"{subject.name} acts every {subject.period_s:g} s, which does not divide 0.032 s.")
-    return act_steps, acts
-
-
-def _repeat(times: int, step: Callable[[T], T], carry: T) -> T:
-    """`step` again and again: a loop of Python's on NumPy arrays (the first leaf tells), of XLA's on JAX arrays."""
-    if isinstance(jax.tree.leaves(carry)[0], np.ndarray):
-        for _ in range(times):
-            carry = step(carry)
-        return carry
-    return jax.lax.fori_loop(0, times, lambda _, carry: step(carry), carry)
+    return jax.lax.while_loop(going_on, control_step, (0, simulation))[1]

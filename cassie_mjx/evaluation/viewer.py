@@ -7,17 +7,22 @@ robot that has fallen starts anew, in steady walking.
 import time
 import warnings
 from collections import deque
+from itertools import count
 
 import glfw
 import mujoco
 import mujoco.viewer
 import numpy as np
 
+from cassie_mjx.agents.types import Agent
+from cassie_mjx.envs.termination import has_fallen, height_over_ground
 from cassie_mjx.evaluation.draw import load_scene
 from cassie_mjx.evaluation.film import AFTER_FALL_S, begin
-from cassie_mjx.evaluation.trial import Subject, Trial, Walker, decide, fallen
-from cassie_mjx.physics.types import Disturbance, PhysicsState
+from cassie_mjx.evaluation.simulate import simulate
+from cassie_mjx.evaluation.trial import Trial
+from cassie_mjx.physics.types import BodyState, Physics, PhysicsState, Scenario
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.arrays import Array
 from cassie_mjx.robot.model import servo_model
 
 # The viewer takes over state and mouse force so often.
@@ -25,50 +30,74 @@ SYNC_S = 0.016
 SPEED_WINDOW_S = 1.0
 
 
-class Live:
-    """One robot in one `MjData`, which steps as `NativePhysics` does while nobody touches it."""
+class LivePhysics:
+    """An engine of one robot whose state is an `MjData`, so that others may look at it and push it meanwhile."""
 
-    def __init__(self, subject: Subject, terrain: float = 0.0) -> None:
-        """Bring the robot up to speed.
+    max_delay, traceable = 0, False
 
-        Args:
-          subject: what walks.
-          terrain: height h of the terrain z = h sin x, m.
-        """
-        self.subject, self.terrain = subject, terrain
-        self._physics, self._start = begin(subject, Trial(0, 0.0, terrain=terrain), 0.0)
-        self.model = servo_model(load_scene(terrain), subject.damping)
-        self.data = mujoco.MjData(self.model)
-        self._act_steps = round(subject.period_s / self.model.opt.timestep)
-        self.restart()
+    def __init__(self, model: mujoco.MjModel, kinematics: Physics) -> None:
+        """Take a model whose motors are position servos, and an engine for the poses of bodies."""
+        self.model, self.data, self._kinematics = model, mujoco.MjData(model), kinematics
 
-    def restart(self) -> None:
-        """Go back to the start."""
-        state, self._memory = self._start
-        self._step = 0
+    def init(self, qpos: Array, qvel: Array) -> PhysicsState:
+        """See `Physics.init`."""
+        return self.take(self._kinematics.init(qpos, qvel))
+
+    def take(self, state: PhysicsState) -> PhysicsState:
+        """Begin anew from a state."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:], self.data.qvel[:] = state.qpos[0], state.qvel[0]
         self.data.qacc_warmstart[:] = state.qacc_warmstart[0]
         mujoco.mj_kinematics(self.model, self.data)
+        return self._state(0 * state.step)
+
+    def advance(self, state: PhysicsState, target: Array, scenario: Scenario, n_steps: int) -> PhysicsState:
+        """See `Physics.advance`: from where the data are, under the forces in `data.xfrc_applied`."""
+        self.data.ctrl[:] = target[0]
+        mujoco.mj_step(self.model, self.data, n_steps)
+        return self._state(state.step + n_steps)
+
+    def bodies(self, state: PhysicsState) -> BodyState:
+        """See `Physics.bodies`."""
+        return self._kinematics.bodies(state)
+
+    def _state(self, step: np.ndarray) -> PhysicsState:
+        qpos, qvel, warmstart = (np.array([x]) for x in (self.data.qpos, self.data.qvel, self.data.qacc_warmstart))
+        return PhysicsState(qpos, qvel, warmstart, step, np.zeros((1, 0, cassie.NQ + cassie.NV)))
+
+
+class Live:
+    """One robot that walks in one `MjData`, which steps as `NativePhysics` does while nobody touches it."""
+
+    def __init__(self, agent: Agent, terrain: float = 0.0) -> None:
+        """Bring the robot up to speed.
+
+        Args:
+          agent: what walks.
+          terrain: height h of the terrain z = h sin x, m.
+        """
+        self.agent, self.terrain = agent, terrain
+        kinematics, self._start = begin(agent, Trial(0, 0.0, terrain=terrain), 0.0)
+        self.model = servo_model(load_scene(terrain), agent.kd_scale)
+        self.physics = LivePhysics(self.model, kinematics)
+        self.data = self.physics.data
+        self._scenario = Scenario.nominal(1, kd_scale=np.asarray(agent.kd_scale))
+        self.restart()
+
+    def restart(self) -> None:
+        """Go back to the start."""
+        robots = self._start._replace(physics=self.physics.take(self._start.physics))
+        self._walk = simulate(self.agent, self.physics, robots, self._scenario, count(1))
 
     def advance(self, n_steps: int) -> None:
         """Advance by physics steps under the forces in `data.xfrc_applied`."""
         for _ in range(n_steps):
-            if self._step % self._act_steps == 0:
-                self._act()
-            mujoco.mj_step(self.model, self.data)
-            self._step += 1
+            next(self._walk)
 
     @property
     def fallen(self) -> bool:
         """Whether the robot lies on the ground."""
-        return bool(fallen(self.data.qpos[None], np.array([self.terrain]))[0])
-
-    def _act(self) -> None:
-        qpos, qvel, warmstart = (np.array([a]) for a in (self.data.qpos, self.data.qvel, self.data.qacc_warmstart))
-        state = PhysicsState(qpos, qvel, warmstart, np.array([self._step]), np.zeros((1, 0, cassie.NQ + cassie.NV)))
-        target, self._memory = decide(self.subject, self._physics, Walker(state, self._memory), Disturbance.none(1))
-        self.data.ctrl[:] = target[0]
+        return bool(has_fallen(height_over_ground(self.data.qpos, np.float64(self.terrain))))
 
 
 def run(viewer: mujoco.viewer.Handle, live: Live) -> None:

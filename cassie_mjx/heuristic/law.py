@@ -30,8 +30,10 @@ from cassie_mjx.heuristic.kinematics import (
     sense,
     soles_w,
 )
-from cassie_mjx.physics.types import Array, BodyState
+from cassie_mjx.heuristic.pendulum import Masses
+from cassie_mjx.physics.types import BodyState
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.arrays import Array
 
 SPRINGS = np.stack([cassie.qpos_index(f"left-{j}", f"right-{j}") for j in ("shin", "heel-spring")], axis=1)
 # Shin and heel spring together bend by -0.128 rad under the whole weight on one leg, and by less than 5 % of that in
@@ -69,12 +71,19 @@ def init(config: ControllerConfig, qpos: Array, bodies: BodyState) -> Controller
 
 
 def step(
-    config: ControllerConfig, state: ControllerState, qpos: Array, qvel: Array, bodies: BodyState, dt: float
+    config: ControllerConfig,
+    masses: Masses,
+    state: ControllerState,
+    qpos: Array,
+    qvel: Array,
+    bodies: BodyState,
+    dt: float,
 ) -> tuple[jax.Array, ControllerState]:
     """PD targets for the next `dt` seconds.
 
     Args:
       config: parameters.
+      masses: of the robot.
       state: from `init` or the last `step`.
       qpos: [B, 35], in MuJoCo's order.
       qvel: [B, 32], in MuJoCo's order.
@@ -86,7 +95,7 @@ def step(
       and the next state.
     """
     robots = _float32((state, jnp.asarray(qpos), jnp.asarray(qvel), bodies))
-    return _over_robots(functools.partial(_step_robot, dt=dt), config, robots)
+    return _over_robots(functools.partial(_step_robot, masses=masses, dt=dt), config, robots)
 
 
 def planned_velocity(config: ControllerConfig, height: jax.Array, side: jax.Array) -> jax.Array:
@@ -189,6 +198,7 @@ def _stance_torque(
     now: Sensed,
     state: ControllerState,
     jacobian: jax.Array,
+    mass: jax.Array,
     speed_error: jax.Array,
     swing_torque: jax.Array,
     weight: jax.Array,
@@ -201,7 +211,7 @@ def _stance_torque(
     q, qdot = now.q[side], now.qdot[side]
     # The ground pushes along the pendulum: F = m g r / h; tau = -J F
     r = now.com - now.soles[side]
-    gravity = -jacobian @ (pendulum.masses()[0].sum() * pendulum.GRAVITY * r / r[2])
+    gravity = -jacobian @ (mass * pendulum.GRAVITY * r / r[2])
     # The pitch joint's axis points to the right, against the pelvis' pitch: hence its signs.
     turn = now.angles[1] - state.line_w[2]
     turn = jnp.arctan2(jnp.sin(turn), jnp.cos(turn))
@@ -232,7 +242,10 @@ def _switch(config: ControllerConfig, state: ControllerState, bodies: BodyState,
 
 
 def _step_robot(
-    config: ControllerConfig, robot_now: tuple[ControllerState, jax.Array, jax.Array, BodyState], dt: float
+    config: ControllerConfig,
+    robot_now: tuple[ControllerState, jax.Array, jax.Array, BodyState],
+    masses: Masses,
+    dt: float,
 ) -> tuple[jax.Array, ControllerState]:
     """`step` for one robot: the same arrays without the axis B."""
     state, qpos, qvel, bodies = robot_now
@@ -240,14 +253,14 @@ def _step_robot(
     now = sense(qpos, qvel, bodies)
     pivot = now.soles[state.stance]
     r = now.com - pivot
-    velocity, remaining = pendulum.velocity(bodies, now, pivot), config.step_time - state.phase
+    velocity, remaining = pendulum.velocity(masses, bodies, now, pivot), config.step_time - state.phase
     planned = planned_velocity(config, r[2], 1 - state.stance)
     pace = _pace(config, pendulum.velocity_after(r, velocity, remaining) - planned)
     v_end = pendulum.velocity_after(r, velocity, remaining / pace)
     swing = _swing_torque(config, now, state, _landing(config, now, state, r, v_end), pace)
     jacobian = leg_jacobian(bodies, now, state.stance)
     weight = _stance_weight(config, state, qpos)
-    stance = _stance_torque(config, now, state, jacobian, v_end[0] - config.speed, swing, weight)
+    stance = _stance_torque(config, now, state, jacobian, masses.mass.sum(), v_end[0] - config.speed, swing, weight)
     torque = jnp.where(jnp.arange(2)[:, None] == state.stance, stance, swing)
     target = cassie.torque_as_target(torque.ravel(), now.q.ravel(), now.qdot.ravel())
     return target.astype(jnp.float32), replace(state, phase=state.phase + pace * dt)

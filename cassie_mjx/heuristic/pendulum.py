@@ -3,15 +3,15 @@
 In the heading frame of `kinematics`.
 """
 
-import functools
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 
 from cassie_mjx.heuristic.kinematics import Sensed
 from cassie_mjx.physics.types import BodyState
-from cassie_mjx.robot.model import ModelConfig, load_model
 
 GRAVITY = 9.81
 
@@ -22,16 +22,23 @@ def rate(height: jax.Array) -> jax.Array:
     return jnp.sqrt(GRAVITY / height)
 
 
-@functools.cache
-def masses() -> tuple[np.ndarray, np.ndarray]:
-    """Mass [26], kg, and principal inertia [26, 3], kg m^2, of every body."""
-    model = load_model(ModelConfig())
-    return model.body_mass.astype(np.float32), model.body_inertia.astype(np.float32)
+class Masses(NamedTuple):
+    """What the robot's momentum needs to know of its bodies."""
+
+    mass: np.ndarray
+    """[26], kg."""
+    inertia: np.ndarray
+    """About the principal axes, [26, 3], kg m^2."""
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel) -> "Masses":
+        """Of a compiled model."""
+        return cls(model.body_mass.astype(np.float32), model.body_inertia.astype(np.float32))
 
 
-def velocity(bodies: BodyState, now: Sensed, pivot: jax.Array) -> jax.Array:
+def velocity(masses: Masses, bodies: BodyState, now: Sensed, pivot: jax.Array) -> jax.Array:
     """Velocity [2] of the point mass with the robot's angular momentum about `pivot`: steadier than that of the CoM."""
-    mass, inertia = masses()
+    mass, inertia = masses
     omega = bodies.cvel[:, :3]
     speeds = bodies.cvel[:, 3:] + jnp.cross(omega, bodies.xipos - bodies.com)
     arm = bodies.xipos - now.pelvis_w - now.heading @ pivot

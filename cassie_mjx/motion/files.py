@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from cassie_mjx.motion.recording import _beyond_limits
-from cassie_mjx.motion.reference import _QUATERNION_NAMES, _QUATERNIONS, _X, _Z, ReferenceMotion, mix_qpos
+from cassie_mjx.motion.recording import beyond_limits
+from cassie_mjx.motion.reference import QUATERNION_NAMES, QUATERNIONS, ReferenceMotion, mix_qpos
 from cassie_mjx.robot import cassie
-from cassie_mjx.robot.model import CONTROL_PERIOD_S, ModelConfig, load_model
+from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
+from cassie_mjx.robot.model import ModelConfig, load_model
 
 SHIPPED = ("walk",)
 
@@ -31,7 +32,7 @@ _LONGEST_STRIDE_S = 10.0
 
 
 def load_motion(name_or_path: str) -> ReferenceMotion:
-    """The motion of that name that we ship, of an .npz file (`load`), or of a public one (`load_trajectory`).
+    """The motion of that name that we ship, of an .npz file (`read_motion`), or of a public one (`read_trajectory`).
 
     Raises:
       ValueError: no such name or file, or a file that holds no motion of Cassie.
@@ -52,6 +53,7 @@ def shipped_path(name: str) -> Path:
 def save_motion(path: Path, motion: ReferenceMotion, provenance: dict[str, Any]) -> None:
     """Write `motion` and where it came from to `path`, whole or not at all."""
     content: dict[str, Any] = {name: np.asarray(getattr(motion, name), np.float64) for name in _ARRAYS}
+    content |= {"periodic": motion.periodic}
     content |= {"format": _FORMAT, "version": _VERSION, "provenance": json.dumps(provenance)}
     partial = path.with_name(path.name + ".partial")
     with partial.open("wb") as file:
@@ -60,7 +62,7 @@ def save_motion(path: Path, motion: ReferenceMotion, provenance: dict[str, Any])
 
 
 def read_motion(path: Path) -> tuple[ReferenceMotion, dict[str, Any]]:
-    """Read what `save` wrote: the motion, in NumPy float64, and its provenance.
+    """Read what `save_motion` wrote: the motion, in NumPy float64, and its provenance.
 
     Raises:
       ValueError: the file is not readable, not of this format and version, or not a motion of Cassie.
@@ -69,6 +71,8 @@ def read_motion(path: Path) -> tuple[ReferenceMotion, dict[str, Any]]:
     try:
         with np.load(path, allow_pickle=False) as content:
             found = {name: np.asarray(content[name]) for name in names if name in content}
+            # Files from before motions that end have no such entry.
+            periodic = bool(content["periodic"]) if "periodic" in content else True
         if len(found) < len(names) or str(found["format"]) != _FORMAT:
             raise ValueError(f"it is not a {_FORMAT}; experiments.record_reference makes one.")
         version, provenance = int(found["version"]), json.loads(str(found["provenance"]))
@@ -76,7 +80,7 @@ def read_motion(path: Path) -> tuple[ReferenceMotion, dict[str, Any]]:
         raise ValueError(f"{path} cannot be read: {error}") from error
     if version != _VERSION:
         raise ValueError(f"{path} has version {version} of the format; this program reads version {_VERSION}.")
-    motion = ReferenceMotion(*(found[name] for name in _ARRAYS))
+    motion = ReferenceMotion(found["qpos"], found["qvel"], found["stride_length"], periodic)
     _check(motion, path)
     return motion, provenance
 
@@ -99,14 +103,14 @@ def read_trajectory(path: Path) -> ReferenceMotion:
         )
     rows = np.frombuffer(content, "<f8").reshape(-1, _COLUMNS)
     time, qpos, qvel = rows[:, _TIME], rows[:, _QPOS], rows[:, _QVEL]
-    _check(ReferenceMotion(qpos, qvel, qpos[-1, _X] - qpos[0, _X]), path)
+    _check(ReferenceMotion(qpos, qvel, qpos[-1, cassie.PELVIS_X] - qpos[0, cassie.PELVIS_X]), path)
     duration = time[-1] - time[0]
     if not (np.diff(time) > 0).all() or not 2 * CONTROL_PERIOD_S <= duration <= _LONGEST_STRIDE_S:
         raise ValueError(
             f"{path} is not a stride: its first column, time, must rise with each row, "
             f"by 0.064 to {_LONGEST_STRIDE_S:g} s in all."
         )
-    gap = np.abs(np.delete(qpos[-1] - qpos[0], _X)).max()
+    gap = np.abs(np.delete(qpos[-1] - qpos[0], cassie.PELVIS_X)).max()
     if gap > _NOT_PERIODIC_RAD:
         raise ValueError(
             f"{path} is not a stride: its last row must repeat the first besides x, and is off by {gap:.3g}."
@@ -117,11 +121,11 @@ def read_trajectory(path: Path) -> ReferenceMotion:
     before = row.astype(int)
     share = (row - before)[:, None]
     resampled = mix_qpos(qpos[before + 1], qpos[before], share)
-    resampled[:, _X] -= qpos[0, _X]
+    resampled[:, cassie.PELVIS_X] -= qpos[0, cassie.PELVIS_X]
     # q'(t) = q(t T / T'), so qdot' = qdot T / T' with T' = N 0.032 s
     pace = duration / (samples * CONTROL_PERIOD_S)
     velocity = pace * (share * qvel[before + 1] + (1 - share) * qvel[before])
-    return ReferenceMotion(resampled, velocity, qpos[-1, _X] - qpos[0, _X])
+    return ReferenceMotion(resampled, velocity, qpos[-1, cassie.PELVIS_X] - qpos[0, cassie.PELVIS_X])
 
 
 def _check(motion: ReferenceMotion, path: Path) -> None:
@@ -137,18 +141,18 @@ def _check(motion: ReferenceMotion, path: Path) -> None:
         array = getattr(motion, name)
         if array.dtype.kind != "f" or not np.isfinite(array).all():
             raise ValueError(f"{path}: {name} has values that are not finite numbers.")
-    norms = np.linalg.norm(motion.qpos[:, _QUATERNIONS], axis=-1)
+    norms = np.linalg.norm(motion.qpos[:, QUATERNIONS], axis=-1)
     k, j = np.unravel_index(np.abs(norms - 1).argmax(), norms.shape)
     if abs(norms[k, j] - 1) > _NOT_UNIT:
         raise ValueError(
-            f"{path} is no motion of Cassie: row {k} has a {_QUATERNION_NAMES[j]} quaternion of norm {norms[k, j]:.3g}."
+            f"{path} is no motion of Cassie: row {k} has a {QUATERNION_NAMES[j]} quaternion of norm {norms[k, j]:.3g}."
         )
-    low, high = motion.qpos[:, _Z].min(), motion.qpos[:, _Z].max()
+    low, high = motion.qpos[:, cassie.PELVIS_Z].min(), motion.qpos[:, cassie.PELVIS_Z].max()
     if low < _HEIGHTS_M[0] or high > _HEIGHTS_M[1]:
         raise ValueError(
             f"{path} is no walk of Cassie: the pelvis goes from {low:.3g} to {high:.3g} m, which is not within "
             f"{_HEIGHTS_M[0]} to {_HEIGHTS_M[1]} m."
         )
-    worst, sentence = _beyond_limits(load_model(ModelConfig()), motion.qpos)
+    worst, sentence = beyond_limits(load_model(ModelConfig()), motion.qpos)
     if worst > _BEYOND_LIMIT_RAD:
         raise ValueError(f"{path} is no motion of Cassie: {sentence}.")

@@ -3,10 +3,10 @@
 import mujoco
 import numpy as np
 
-from cassie_mjx.motion.reference import _X, ReferenceMotion, sample
+from cassie_mjx.motion.reference import ReferenceMotion, sample
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
 from cassie_mjx.robot.loops import close_loops, close_loops_velocity
-from cassie_mjx.robot.model import CONTROL_PERIOD_S
 
 
 def make_periodic(qpos: np.ndarray, qvel: np.ndarray, model: mujoco.MjModel) -> ReferenceMotion:
@@ -27,10 +27,10 @@ def make_periodic(qpos: np.ndarray, qvel: np.ndarray, model: mujoco.MjModel) -> 
     if samples < 2 or samples % 2:
         raise ValueError(f"A stride of {samples} samples has no two halves; record an even number of them.")
     qpos, qvel = heading_x(qpos, qvel)
-    length = qpos[-1, _X]
+    length = qpos[-1, cassie.PELVIS_X]
     progress = np.arange(samples + 1) / samples
     # On the spot, so that the halves can be compared: x - L t / T
-    qpos[:, _X] -= length * progress
+    qpos[:, cassie.PELVIS_X] -= length * progress
     drift_q, drift_v = _difference(model, qpos[0], qpos[-1]), qvel[-1] - qvel[0]
     half = samples // 2
     states = []
@@ -45,9 +45,9 @@ def make_periodic(qpos: np.ndarray, qvel: np.ndarray, model: mujoco.MjModel) -> 
         states.append((q, close_loops_velocity(model, q, (v + v_image) / 2)))
     first_q, first_v = (np.array(halves) for halves in zip(*states, strict=True))
     qpos = np.concatenate([first_q, cassie.mirror_qpos(first_q)])
-    qpos[:, _X] += length * progress[:-1] - qpos[0, _X]
+    qpos[:, cassie.PELVIS_X] += length * progress[:-1] - qpos[0, cassie.PELVIS_X]
     motion = ReferenceMotion(qpos, np.concatenate([first_v, cassie.mirror_qvel(first_v)]), np.asarray(length))
-    worst, sentence = _beyond_limits(model, qpos)
+    worst, sentence = beyond_limits(model, qpos)
     if worst > 0:
         raise ValueError(f"Closing the loops of the stride breaks a limit: {sentence}.")
     return motion
@@ -74,7 +74,7 @@ def heading_x(qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def velocity_error(motion: ReferenceMotion, model: mujoco.MjModel) -> np.ndarray:
     """Largest difference between qvel and the central difference of qpos, [32], m/s and rad/s."""
     samples = len(motion.qpos)
-    before, after = (sample(motion, np.arange(samples) + k, np.zeros(samples, int))[0] for k in (-1, 1))
+    before, after = (sample(motion, np.arange(samples) + k)[0] for k in (-1, 1))
     # qdot_k = (q_{k+1} - q_{k-1}) / (2 dt)
     moves = np.array([_difference(model, a, b) for a, b in zip(before, after, strict=True)])
     return np.abs(motion.qvel - moves / (2 * CONTROL_PERIOD_S)).max(axis=0)
@@ -100,7 +100,7 @@ def _within_limits(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
     return clipped
 
 
-def _beyond_limits(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[float, str]:
+def beyond_limits(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[float, str]:
     """By how much qpos [N, 35] exceeds a joint's limits at worst, rad, and a sentence that says where."""
     joints = np.flatnonzero(model.jnt_limited)
     values = qpos[:, model.jnt_qposadr[joints]]

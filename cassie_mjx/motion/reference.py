@@ -1,64 +1,77 @@
-"""The reference motion: one stride of states to be imitated; sampled, stretched, blended, saved and loaded.
+"""The reference motion: states to be imitated, sampled once a control step, for NumPy and JAX arrays alike.
 
-A stride is two footsteps, sampled once a control step. Frames are MuJoCo's: pelvis position and linear velocity in the
-world, its angular velocity in the pelvis; the walk goes along the world's x.
+Frames are MuJoCo's: pelvis position and linear velocity in the world, its angular velocity in the pelvis; the motion
+goes along the x axis of the path that a command describes. With the command straight ahead that is the world's frame.
 """
 
-from dataclasses import dataclass
-from types import ModuleType
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from cassie_mjx.physics.types import Array
+from cassie_mjx.motion.command import FASTEST, Command
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.arrays import Array, namespace
+from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X
 
-MAX_STRETCH = 4.0
 RAMP_PER_S = 0.625
 """Pace at which a walk is brought to another speed, 1/s, in multiples of the stride's: lambda = 1 - 0.625 t between
 neighbours of 0x, 1x, 2x, ... (Xie et al. 2018)."""
 
-_X, _Z = (int(cassie.qpos_index("pelvis")[i]) for i in (0, 2))
-_VX = int(cassie.qvel_index("pelvis")[0])
-_QUATERNION_NAMES = ("pelvis", "left-achilles-rod", "right-achilles-rod")
-_QUATERNIONS = np.stack([cassie.qpos_index(name)[-4:] for name in _QUATERNION_NAMES])
+VELOCITY_X = int(cassie.PELVIS_VELOCITY[0])
+QUATERNION_NAMES = ("pelvis", "left-achilles-rod", "right-achilles-rod")
+QUATERNIONS = np.stack([cassie.qpos_index(name)[-4:] for name in QUATERNION_NAMES])
+"""Where qpos has each of these quaternions, [3, 4]."""
 # The quaternion that a coordinate belongs to; the number after the last for the coordinates of none.
-_QUATERNION_OF = np.full(cassie.NQ, len(_QUATERNIONS))
-_QUATERNION_OF[_QUATERNIONS] = np.arange(len(_QUATERNIONS))[:, None]
+_QUATERNION_OF = np.full(cassie.NQ, len(QUATERNIONS))
+_QUATERNION_OF[QUATERNIONS] = np.arange(len(QUATERNIONS))[:, None]
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class ReferenceMotion:
-    """One periodic stride, sample k at k 0.032 s; sample N is sample 0 again, `stride_length` further along x.
-
-    Attributes:
-      qpos: states of the robot, [N, 35], in MuJoCo's order: m, unit quaternions w x y z, rad.
-      qvel: their velocities, [N, 32]: m/s world frame, rad/s body frame for the pelvis, rad/s for the joints.
-      stride_length: what pelvis x gains in a stride, [], m.
-    """
+class ReferenceMotion(NamedTuple):
+    """States of the robot every 0.032 s: a stride that repeats, or a motion that ends."""
 
     qpos: Array
+    """[N, 35], in MuJoCo's order: m, unit quaternions w x y z, rad."""
     qvel: Array
+    """[N, 32], their velocities: m/s world frame, rad/s body frame for the pelvis, rad/s for the joints."""
     stride_length: Array
+    """What pelvis x gains from one repetition to the next, or from the first sample to the last, [], m."""
+    periodic: bool = True
+    """Whether sample N is sample 0 again, `stride_length` further along x. Else it stays in its last state."""
 
 
-def sample(motion: ReferenceMotion, phase: Array, stride: Array) -> tuple[Array, Array]:
-    """The reference at whole control steps: (qpos [B, 35], qvel [B, 32]).
+def mean_speed(motion: ReferenceMotion) -> Array:
+    """Mean forward speed of a motion, m/s."""
+    return motion.stride_length / (motion.qpos.shape[0] * CONTROL_PERIOD_S)
+
+
+def sample(motion: ReferenceMotion, time: Array, command: Command | None = None) -> tuple[Array, Array]:
+    """The reference at whole control steps, in the frame of the path: (qpos [B, 35], qvel [B, 32]).
 
     Args:
-      motion: the stride, NumPy or JAX.
-      phase: control steps since the stride began, [B], integers; beyond 0..N-1 it wraps and carries into `stride`.
-      stride: strides completed before, [B], integers; each has taken pelvis x `stride_length` forward.
+      motion: NumPy or JAX.
+      time: control steps since the start of the motion, [B], integers, also negative ones.
+      command: what robots are told; the motion's own speed unless given. Forward, pelvis x and its velocity are
+        stretched (Xie et al. 2018): x'(t) = v' / v x(t).
     """
-    xp = _namespace(motion.qpos, phase, stride)
+    xp = namespace(motion.qpos, time)
     samples = motion.qpos.shape[0]
-    qpos, qvel = (xp.asarray(states)[phase % samples] for states in (motion.qpos, motion.qvel))
+    phase, laps = time % samples, time // samples
+    if motion.periodic is not True:
+        phase = xp.where(motion.periodic, phase, xp.clip(time, 0, samples - 1))
+        laps = xp.where(motion.periodic, laps, 0)
+    qpos, qvel = (xp.asarray(states)[phase] for states in (motion.qpos, motion.qvel))
     # x(k + n N) = x(k) + n L
-    laps = xp.asarray(stride + phase // samples, qpos.dtype)
-    advance = laps * xp.asarray(motion.stride_length, qpos.dtype)
-    return qpos + advance[..., None] * xp.asarray(np.arange(cassie.NQ) == _X, qpos.dtype), qvel
+    advance = xp.asarray(laps, dtype=qpos.dtype) * xp.asarray(motion.stride_length, dtype=qpos.dtype)
+    qpos = qpos + advance[..., None] * xp.asarray(np.arange(cassie.NQ) == PELVIS_X, dtype=qpos.dtype)
+    return (qpos, qvel) if command is None else stretch_states(qpos, qvel, speed_ratio(motion, command))
+
+
+def speed_ratio(motion: ReferenceMotion, command: Command) -> Array:
+    """The commanded speed over the motion's own, [B]: exactly 1 if they are the same; 1 for a motion on the spot."""
+    xp = namespace(motion.qpos, command.forward)
+    own = xp.asarray(mean_speed(motion))
+    forward = xp.asarray(command.forward)
+    return xp.where((forward == own) | (own == 0), xp.ones_like(forward), forward / xp.where(own == 0, 1, own))
 
 
 def nearest_sample(phase: Array, samples: int) -> np.ndarray:
@@ -77,19 +90,20 @@ def stretch(motion: ReferenceMotion, factor: float) -> ReferenceMotion:
     """The same motion at `factor` times the speed: pelvis x and its velocity are scaled, nothing else.
 
     Raises:
-      ValueError: a factor outside 0..4, the range of the paper.
+      ValueError: a factor that is negative or not finite.
     """
-    if not 0 <= factor <= MAX_STRETCH:
-        raise ValueError(f"A reference cannot be stretched by {factor}; use a factor from 0 to {MAX_STRETCH:g}.")
-    return ReferenceMotion(*stretch_states(motion.qpos, motion.qvel, factor), motion.stride_length * factor)
+    if not 0 <= factor < np.inf:
+        raise ValueError(f"A reference cannot be stretched by {factor}; use a factor from 0 to {FASTEST:g}.")
+    qpos, qvel = stretch_states(motion.qpos, motion.qvel, factor)
+    return motion._replace(qpos=qpos, qvel=qvel, stride_length=motion.stride_length * factor)
 
 
-def stretch_states(qpos: Array, qvel: Array, factor: Array) -> tuple[Array, Array]:
+def stretch_states(qpos: Array, qvel: Array, factor: Array | float) -> tuple[Array, Array]:
     """States [..., 35] and [..., 32] of a motion at `factor` [...] times its speed; a factor of 1 changes no bit."""
-    xp = _namespace(qpos, factor)
+    xp = namespace(qpos, factor)
     scale_q, scale_v = (
-        xp.where(np.arange(states.shape[-1]) == column, xp.asarray(factor, states.dtype)[..., None], 1)
-        for states, column in ((qpos, _X), (qvel, _VX))
+        xp.where(np.arange(states.shape[-1]) == column, xp.asarray(factor, dtype=states.dtype)[..., None], 1)
+        for states, column in ((qpos, PELVIS_X), (qvel, VELOCITY_X))
     )
     return qpos * scale_q, qvel * scale_v
 
@@ -119,14 +133,24 @@ def blend_motions(a: ReferenceMotion, b: ReferenceMotion, lam: Array) -> Referen
 
 def mix_qpos(a: Array, b: Array, lam: Array) -> Array:
     """The configurations lambda a + (1 - lambda) b, [..., 35]; quaternions along the shorter way, renormalised."""
-    xp = _namespace(a, b, lam)
+    xp = namespace(a, b, lam)
     ones = xp.ones_like(a[..., :1])
-    dots = xp.sum(a[..., _QUATERNIONS] * b[..., _QUATERNIONS], axis=-1)
+    dots = xp.sum(a[..., QUATERNIONS] * b[..., QUATERNIONS], axis=-1)
     sign = xp.concatenate([xp.where(dots < 0, -ones, ones), ones], axis=-1)[..., _QUATERNION_OF]
     mixed = lam * a + (1 - lam) * sign * b
-    norms = xp.linalg.norm(mixed[..., _QUATERNIONS], axis=-1)
+    norms = xp.linalg.norm(mixed[..., QUATERNIONS], axis=-1)
     return mixed / xp.concatenate([norms, ones], axis=-1)[..., _QUATERNION_OF]
 
 
-def _namespace(*arrays: Array) -> ModuleType:
-    return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
+def steps_mirror(motion: ReferenceMotion, tolerance: float = 1e-3) -> bool:
+    """Whether the second half of a stride is the mirror image of the first, to `tolerance` in every coordinate."""
+    samples = motion.qpos.shape[0]
+    if samples % 2 or not motion.periodic:
+        return False
+    qpos, qvel = np.array(motion.qpos, float), np.array(motion.qvel, float)
+    first, second = np.split(qpos, 2)
+    first_v, second_v = np.split(qvel, 2)
+    image = cassie.mirror_qpos(first)
+    image[:, PELVIS_X] += second[0, PELVIS_X] - first[0, PELVIS_X]
+    close = np.allclose(image, second, atol=tolerance)
+    return close and np.allclose(cassie.mirror_qvel(first_v), second_v, atol=10 * tolerance)

@@ -10,17 +10,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from cassie_mjx.physics.types import (
-    Array,
-    BodyState,
-    Disturbance,
-    PhysicsState,
-    check_batch,
-    check_delay,
-    check_start,
-    delayed,
-)
+from cassie_mjx.physics.types import BodyState, PhysicsState, Scenario, check_batch, check_delay, check_start, delayed
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.arrays import Array
 
 # MJX announces on stdout that its optional Warp backend is not installed.
 with contextlib.redirect_stdout(io.StringIO()):
@@ -30,23 +22,26 @@ with contextlib.redirect_stdout(io.StringIO()):
 class MjxPhysics:
     """Steps robots with MJX; implements `Physics` on JAX arrays. Its methods can be traced: jit or scan over them."""
 
-    def __init__(self, model: mujoco.MjModel, max_delay: int = 0, damping: float = 1.0) -> None:
+    traceable = True
+
+    def __init__(self, model: mujoco.MjModel, max_delay: int = 0) -> None:
         """Put the model on the device.
 
         Args:
-          model: from `cassie_mjx.model.load_for_mjx`. Flat floor and terrain are one model here: the floor under each
+          model: from `robot.model.load_mjx_model`. Flat floor and terrain are one model here: the floor under each
             leg and the pelvis is a plane that follows the tangent of z = h sin x.
-          max_delay: longest delay that a disturbance will ask for, physics steps.
-          damping: factor on the D gains.
+          max_delay: longest delay that a scenario will ask for, physics steps.
         """
         # By itself, MJX takes the first device of all, which may be another host's.
         self._device = jax.local_devices()[0]
         self.model, self._mjx = model, mjx.put_model(model, self._device)
-        self.max_delay, self.damping = max_delay, damping
+        self.max_delay = max_delay
         self._loops = _LoopBias(self._mjx)
         self._floors = _Floors(model)
-        self._advance = jax.jit(self._scan, static_argnums=3)
-        self._bodies = jax.jit(self._kinematics)
+        # Accelerators would round the factors of a product to 8 or 11 bits: the loops' Jacobians do not bear that.
+        exact = jax.default_matmul_precision("highest")
+        self._advance = jax.jit(exact(self._scan), static_argnums=3)
+        self._bodies = jax.jit(exact(self._kinematics))
 
     def init(self, qpos: Array, qvel: Array) -> PhysicsState:
         """See `Physics.init`."""
@@ -57,30 +52,29 @@ class MjxPhysics:
         history = jnp.repeat(jnp.concatenate([qpos, qvel], axis=1)[:, None], slots, axis=1)
         return PhysicsState(qpos, qvel, jnp.zeros_like(qvel), jnp.zeros(len(qpos), jnp.int32), history)
 
-    def advance(self, state: PhysicsState, target: Array, disturbance: Disturbance, n_steps: int) -> PhysicsState:
+    def advance(self, state: PhysicsState, target: Array, scenario: Scenario, n_steps: int) -> PhysicsState:
         """See `Physics.advance`."""
-        check_batch(state, target, disturbance)
-        if not isinstance(disturbance.delay, jax.core.Tracer):
-            check_delay(disturbance, self.max_delay)
-        return self._advance(state, target, disturbance, n_steps)
+        check_batch(state, target, scenario)
+        if not isinstance(scenario.delay, jax.core.Tracer):
+            check_delay(scenario, self.max_delay)
+        return self._advance(state, target, scenario, n_steps)
 
     def bodies(self, state: PhysicsState) -> BodyState:
         """See `Physics.bodies`."""
         return self._bodies(state)
 
-    def _scan(self, state: PhysicsState, target: Array, disturbance: Disturbance, n_steps: int) -> PhysicsState:
+    def _scan(self, state: PhysicsState, target: Array, scenario: Scenario, n_steps: int) -> PhysicsState:
         dtype = state.qpos.dtype
-        target, disturbance = jax.tree.map(partial(_as_floats, dtype), (target, disturbance))
+        target, scenario = jax.tree.map(partial(_as_floats, dtype), (target, scenario))
+        kd_scale = scenario.kd_scale[:, None]
 
         def substep(state: PhysicsState, _: None) -> tuple[PhysicsState, None]:
-            qpos, qvel = delayed(state, disturbance)
+            qpos, qvel = delayed(state, scenario)
             q, qdot = qpos[:, cassie.ACTIVE_QPOS], qvel[:, cassie.ACTIVE_QVEL]
-            torque = cassie.pd_torque(target, q, qdot, self.damping).astype(dtype)
-            pushed = (disturbance.push_start <= state.step) & (state.step < disturbance.push_stop)
-            push = disturbance.push * pushed[:, None]
-            moved = jax.vmap(self._step)(
-                state.qpos, state.qvel, state.qacc_warmstart, torque, push, disturbance.terrain
-            )
+            torque = cassie.pd_torque(target, q, qdot, kd_scale).astype(dtype)
+            pushed = (scenario.push_start <= state.step) & (state.step < scenario.push_stop)
+            push = scenario.push * pushed[:, None]
+            moved = jax.vmap(self._step)(state.qpos, state.qvel, state.qacc_warmstart, torque, push, scenario.ground)
             return self._record(PhysicsState(*moved, state.step + 1, state.history)), None
 
         return jax.lax.scan(substep, state, None, length=n_steps)[0]

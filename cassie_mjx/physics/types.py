@@ -1,16 +1,14 @@
-"""What both physics engines take and give: states, disturbances and body poses, batched over robots (axis B)."""
+"""What both physics engines take and give: states, scenarios and body poses, batched over robots (axis B)."""
 
-from dataclasses import dataclass
-from types import ModuleType
-from typing import Any, Protocol, TypeAlias, TypeVar
+from dataclasses import dataclass, fields
+from typing import Protocol, TypeVar
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-Array: TypeAlias = Any
-"""A NumPy array of float64 on MuJoCo C, a JAX array on MJX."""
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.arrays import Array, namespace
 
 T = TypeVar("T")
 
@@ -38,28 +36,39 @@ class PhysicsState:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Disturbance:
-    """What the world does to each robot, besides its motors.
+class Scenario:
+    """What differs from robot to robot: what the world does to each, and what each is made of.
 
     Attributes:
       push: force at the pelvis' centre of mass, [B, 3], N, world frame.
       push_start: first physics step under the push, [B], int32, counted as `PhysicsState.step`.
       push_stop: first physics step after the push, [B], int32.
-      delay: age of the state that the PD loop and the policy see, [B], int32, physics steps.
-      terrain: height h of the terrain z = h sin x, [B], m.
+      delay: age of the state that the PD loop and the agent sense, [B], int32, physics steps.
+      ground: height h of the ground z = h sin x, [B], m.
+      kd_scale: factor on the D gains of the PD law, [B].
     """
 
     push: Array
     push_start: Array
     push_stop: Array
     delay: Array
-    terrain: Array
+    ground: Array
+    kd_scale: Array
 
     @classmethod
-    def none(cls, batch: int) -> "Disturbance":
-        """Undisturbed walking on a flat floor, for `batch` robots."""
-        steps = np.zeros(batch, np.int32)
-        return cls(np.zeros((batch, 3)), steps, steps, steps, np.zeros(batch))
+    def nominal(cls, robots: int, **changes: Array) -> "Scenario":
+        """Undisturbed walking of `robots` nominal robots on a flat floor, but for `changes`: [B, ...] or one value."""
+        steps, zeros = np.zeros(robots, np.int32), np.zeros(robots)
+        values = {
+            "push": np.zeros((robots, 3)),
+            "push_start": steps,
+            "push_stop": steps,
+            "delay": steps,
+            "ground": zeros,
+            "kd_scale": np.ones(robots),
+        }
+        given = {name: np.broadcast_to(value, values[name].shape) for name, value in changes.items()}
+        return cls(**(values | given))
 
 
 @jax.tree_util.register_dataclass
@@ -85,12 +94,16 @@ class BodyState:
 
 
 class Physics(Protocol):
-    """One engine: advances a batch of robots under PD targets and disturbances. It keeps no state of theirs."""
+    """One engine: advances a batch of robots under PD targets, each in its scenario. It keeps no state of theirs.
+
+    Arrays are NumPy's, of float64, on MuJoCo C, and JAX's on MJX.
+    """
 
     model: mujoco.MjModel
     max_delay: int
-    damping: float
-    """Factor on the D gains of the PD law."""
+    """Longest delay of a scenario, physics steps."""
+    traceable: bool
+    """Whether its methods may be called under `jax.jit`; robots are then stepped on JAX's device."""
 
     def init(self, qpos: Array, qvel: Array) -> PhysicsState:
         """The state at physics step 0, with a history that has always been this state.
@@ -99,11 +112,11 @@ class Physics(Protocol):
         """
         ...
 
-    def advance(self, state: PhysicsState, target: Array, disturbance: Disturbance, n_steps: int) -> PhysicsState:
+    def advance(self, state: PhysicsState, target: Array, scenario: Scenario, n_steps: int) -> PhysicsState:
         """Advance `n_steps` physics steps with the PD targets [B, 10] (rad) held.
 
         The torque follows the joint state at every physics step, or, on an engine with `max_delay` > 0, the state
-        `disturbance.delay` steps old. Raises ValueError for shapes that do not fit together.
+        `scenario.delay` steps old. Raises ValueError for shapes that do not fit together.
         """
         ...
 
@@ -112,19 +125,14 @@ class Physics(Protocol):
         ...
 
 
-def delayed(state: PhysicsState, disturbance: Disturbance) -> tuple[Array, Array]:
-    """State as sensed, (qpos [B, 35], qvel [B, 32]): `disturbance.delay` physics steps old if there is a history."""
+def delayed(state: PhysicsState, scenario: Scenario) -> tuple[Array, Array]:
+    """State as sensed, (qpos [B, 35], qvel [B, 32]): `scenario.delay` physics steps old if there is a history."""
     slots = state.history.shape[1]
     if slots == 0:
         return state.qpos, state.qvel
-    slot = (state.step - disturbance.delay) % slots
+    slot = (state.step - scenario.delay) % slots
     seen = state.history[np.arange(len(state.history)), slot]
     return seen[:, : state.qpos.shape[1]], seen[:, state.qpos.shape[1] :]
-
-
-def namespace(array: Array) -> ModuleType:
-    """NumPy for a NumPy array and JAX's for any other, so that a formula is written once for both engines."""
-    return np if isinstance(array, np.ndarray) else jnp
 
 
 def merge(chosen: Array, these: T, those: T) -> T:
@@ -136,19 +144,23 @@ def merge(chosen: Array, these: T, those: T) -> T:
     return jax.tree.map(pick, these, those)
 
 
-def check_batch(state: PhysicsState, target: Array, disturbance: Disturbance) -> None:
-    """Raise ValueError unless state, targets and disturbance describe the same number of robots."""
-    batch = state.qpos.shape[0]
+def to_backend(state: PhysicsState, tree: T) -> T:
+    """`tree` where the robots are: as NumPy arrays if their engine runs on the host."""
+    return jax.tree.map(np.asarray, tree) if isinstance(state.qpos, np.ndarray) else tree
+
+
+def check_batch(state: PhysicsState, target: Array, scenario: Scenario) -> None:
+    """Raise ValueError unless state, targets and scenario describe the same number of robots."""
+    robots = state.qpos.shape[0]
     for name, array, tail in (
-        ("target", target, (10,)),
-        ("disturbance.push", disturbance.push, (3,)),
-        ("disturbance.push_start", disturbance.push_start, ()),
-        ("disturbance.push_stop", disturbance.push_stop, ()),
-        ("disturbance.delay", disturbance.delay, ()),
-        ("disturbance.terrain", disturbance.terrain, ()),
+        ("target", target, (cassie.NU,)),
+        *(
+            (f"scenario.{f.name}", getattr(scenario, f.name), (3,) if f.name == "push" else ())
+            for f in fields(scenario)
+        ),
     ):
-        if array.shape != (batch, *tail):
-            raise ValueError(f"{name} has shape {array.shape}; for {batch} robots it must be {(batch, *tail)}.")
+        if array.shape != (robots, *tail):
+            raise ValueError(f"{name} has shape {array.shape}; for {robots} robots it must be {(robots, *tail)}.")
 
 
 def check_start(qpos: Array, qvel: Array) -> None:
@@ -162,9 +174,9 @@ def check_start(qpos: Array, qvel: Array) -> None:
             raise ValueError(f"{name}[{row}, {index}] is {array[row, index]}; a starting state must be finite.")
 
 
-def check_delay(disturbance: Disturbance, max_delay: int) -> None:
+def check_delay(scenario: Scenario, max_delay: int) -> None:
     """Raise ValueError for a delay outside 0..max_delay physics steps."""
-    shortest, worst = np.min(disturbance.delay, initial=0), np.max(disturbance.delay, initial=0)
+    shortest, worst = np.min(scenario.delay, initial=0), np.max(scenario.delay, initial=0)
     if shortest < 0:
         raise ValueError(f"A delay of {shortest} physics steps looks into the future; it must be at least 0.")
     if worst > max_delay:

@@ -5,10 +5,13 @@ and, for the PD gains, osudrl/apex.
 """
 
 from collections.abc import Iterable
-from typing import Any, TypeAlias
 
-import mujoco
 import numpy as np
+
+from cassie_mjx.robot.arrays import Array
+
+CONTROL_PERIOD_S = 0.032
+"""Time for which a policy's PD targets are held, s (Xie et al. 2018)."""
 
 SIDES = ("left", "right")
 ACTIVE = ("hip-roll", "hip-yaw", "hip-pitch", "knee", "foot")
@@ -84,9 +87,13 @@ SHIN_QPOS = qpos_index("left-shin", "right-shin")
 # A robot whose pelvis is lower or higher than this over the ground below it has fallen, m (Xie et al. 2018).
 FALL_LOW_M, FALL_HIGH_M = 0.6, 1.2
 
-# The pelvis' x y z and the vector part of its quaternion w x y z, in qpos.
-PELVIS_POSITION = qpos_index("pelvis")[:3]
-PELVIS_QUAT_VECTOR = qpos_index("pelvis")[4:7]
+# The pelvis in qpos: x y z, quaternion w x y z and its vector part; in qvel: velocity (world), turning (own frame).
+PELVIS_POSITION, PELVIS_QUATERNION = np.split(qpos_index("pelvis"), [3])
+PELVIS_QUAT_VECTOR = PELVIS_QUATERNION[1:]
+PELVIS_X, PELVIS_Y, PELVIS_Z = PELVIS_POSITION.tolist()
+PELVIS_VELOCITY, PELVIS_ANGULAR_VELOCITY = np.split(qvel_index("pelvis"), [3])
+HORIZONTAL_VELOCITY = slice(PELVIS_VELOCITY[0], PELVIS_VELOCITY[2])
+HIP_PITCH_QPOS = qpos_index("left-hip-pitch", "right-hip-pitch")
 PELVIS_BODY = int(body_index("cassie-pelvis")[0])
 FOOT_BODIES = body_index("left-foot", "right-foot")
 
@@ -115,23 +122,20 @@ STANDING_TARGET = np.array(
     ]
 )
 
-Array: TypeAlias = Any
-"""A NumPy or a JAX array; the functions below serve both."""
 
-
-def pd_torque(target: Array, q: Array, qdot: Array, damping: float = 1.0) -> Array:
+def pd_torque(target: Array, q: Array, qdot: Array, kd_scale: Array | float = 1.0) -> Array:
     """Joint torque of the PD law, N·m, for NumPy and JAX arrays alike.
 
     Args:
       target: PD target of the active joints, [..., 10], rad.
       q: active joint angles, [..., 10], rad.
       qdot: active joint velocities, [..., 10], rad/s.
-      damping: s, factor on all D gains.
+      kd_scale: s, factor on all D gains, one number or [..., 1].
 
     Returns:
       tau = clip(P (target - q) - s D qdot, -limit, limit), [..., 10].
     """
-    return (P_GAIN * (target - q) - damping * D_GAIN * qdot).clip(-TORQUE_LIMIT, TORQUE_LIMIT)
+    return (P_GAIN * (target - q) - kd_scale * D_GAIN * qdot).clip(-TORQUE_LIMIT, TORQUE_LIMIT)
 
 
 def torque_as_target(torque: Array, q: Array, qdot: Array) -> Array:
@@ -172,19 +176,3 @@ def mirror_qvel(qvel: Array) -> Array:
 def mirror_active(values: Array) -> Array:
     """Reflect values of the ten active joints [..., 10] (targets, torques, actions) in the plane y = 0."""
     return values[..., _ACTIVE_ORDER] * _ACTIVE_SIGN
-
-
-def check(model: mujoco.MjModel) -> None:
-    """Raise ValueError unless `model` has Cassie's joints, bodies and actuators in Cassie's order."""
-    for what, expected, found in (
-        ("joint", tuple(name for name, *_ in JOINTS), tuple(model.joint(i).name for i in range(model.njnt))),
-        ("body", BODIES, tuple(model.body(i).name for i in range(model.nbody))),
-        ("actuator", ACTUATORS, tuple(model.actuator(i).name for i in range(model.nu))),
-    ):
-        missing = [name for name in expected if name not in found]
-        if missing:
-            raise ValueError(f"The model lacks the {what} {', '.join(missing)}; it has {', '.join(found)}.")
-        if expected != found:
-            raise ValueError(
-                f"The model's {what} order is not Cassie's: got {', '.join(found)}; want {', '.join(expected)}."
-            )

@@ -1,7 +1,14 @@
 """The ground: terrain z = h sin x, x along the walk."""
 
+import math
+
 import mujoco
 import numpy as np
+
+from cassie_mjx.robot.arrays import Array, namespace
+
+CREST_X_M = math.pi / 2
+"""Where robots start on the terrain, m: a crest is level; elsewhere a foot would start inside the slope."""
 
 
 def set_terrain(model: mujoco.MjModel, height: float) -> None:
@@ -24,3 +31,8 @@ def set_terrain(model: mujoco.MjModel, height: float) -> None:
     # MuJoCo wants a positive extent; a micrometre is flat.
     model.hfield_size[0, 2] = max(2 * height, 1e-6)
     model.geom_pos[floor, 2] = -height
+
+
+def height_below(ground: Array, x: Array) -> Array:
+    """Height of the ground z = h sin x at `x`, m; `ground` is h, m, both [...]."""
+    return ground * namespace(ground, x).sin(x)

@@ -10,13 +10,12 @@ import numpy as np
 
 from cassie_mjx.robot import cassie
 
-CONTROL_PERIOD_S = 0.032
 SCENES = ("flat", "terrain")
 
 # In undisturbed walking nothing else touches anything; after a push of 60 N the legs do meet, by up to 2 mm
-# (`experiments.contacts`). The referee has that, and what touches the floor in a fall.
+# (`experiments.contacts`). Full contacts have that, and what touches the floor in a fall.
 WALKING_PAIRS = ("floor:left-foot", "floor:right-foot")
-CONTACTS = ("walking", "referee", "published")
+CONTACTS = ("walking", "full", "published")
 
 
 @dataclass(frozen=True)
@@ -27,8 +26,8 @@ class ModelConfig:
     """Physics steps a second; a whole number of them must fit in the 32 ms of a control step."""
     scene: str = "flat"
     """"flat" or "terrain" (z = h sin x)."""
-    contacts: str = "referee"
-    """"walking": the feet with the floor alone; "referee": also shanks and pelvis with the floor, and leg with leg;
+    contacts: str = "full"
+    """"walking": the feet with the floor alone; "full": also shanks and pelvis with the floor, and leg with leg;
     "published": also the thighs with the floor, as in the published model."""
     iterations: int = 100
     """Most iterations of the constraint solver (Newton); it stops earlier when converged."""
@@ -45,7 +44,7 @@ class ModelConfig:
 
 def steps_per_control(physics_hz: float) -> int:
     """Physics steps in one control step of 32 ms. Raises ValueError unless that is a whole number."""
-    steps = CONTROL_PERIOD_S * physics_hz
+    steps = cassie.CONTROL_PERIOD_S * physics_hz
     if physics_hz <= 0 or abs(steps - round(steps)) > 1e-9:
         raise ValueError(
             f"physics_hz={physics_hz:g} does not divide the control step of 32 ms into whole physics steps; "
@@ -54,11 +53,11 @@ def steps_per_control(physics_hz: float) -> int:
     return round(steps)
 
 
-MJX_TRAINING = ModelConfig(physics_hz=1000, contacts="walking", iterations=4, ls_iterations=6)
+MJX_TRAINING = ModelConfig(physics_hz=1000, iterations=4, ls_iterations=6)
 """What MJX trains on. By `experiments.solver` one iteration diverges; from two on the loops hold as in MuJoCo C. The
 solver stops once it has converged, so the bounds of 4 and 6 leave a margin at hardly a cost."""
-MJX_TESTING = replace(MJX_TRAINING, physics_hz=2000, contacts="referee")
-"""What MJX tests on: the referee's rate and contacts."""
+MJX_TESTING = replace(MJX_TRAINING, physics_hz=2000)
+"""What MJX is evaluated on: the rate of MuJoCo C there."""
 
 
 def xml_path(scene: str = "flat") -> Path:
@@ -106,10 +105,10 @@ def load_mjx_model(config: ModelConfig) -> mujoco.MjModel:
     return _compile(spec, config)
 
 
-def servo_model(model: mujoco.MjModel, damping: float = 1.0) -> mujoco.MjModel:
+def servo_model(model: mujoco.MjModel, kd_scale: float = 1.0) -> mujoco.MjModel:
     """A copy whose motors are position servos in joint units: control is the PD target in rad.
 
-    Force = P ctrl - P q - s D qdot with s = `damping`, clipped to the joint's torque limit: the PD law of
+    Force = P ctrl - P q - s D qdot with s = `kd_scale`, clipped to the joint's torque limit: the PD law of
     `cassie.pd_torque`, evaluated by MuJoCo at every step.
     """
     servo = copy.copy(model)
@@ -118,7 +117,7 @@ def servo_model(model: mujoco.MjModel, damping: float = 1.0) -> mujoco.MjModel:
     servo.actuator_gainprm[:, 0] = cassie.P_GAIN
     servo.actuator_biastype[:] = mujoco.mjtBias.mjBIAS_AFFINE
     servo.actuator_biasprm[:, 1] = -cassie.P_GAIN
-    servo.actuator_biasprm[:, 2] = -damping * cassie.D_GAIN
+    servo.actuator_biasprm[:, 2] = -kd_scale * cassie.D_GAIN
     servo.actuator_ctrllimited[:] = 0
     servo.actuator_forcelimited[:] = 1
     servo.actuator_forcerange[:] = np.stack([-cassie.TORQUE_LIMIT, cassie.TORQUE_LIMIT], axis=1)
@@ -166,5 +165,21 @@ def _compile(spec: mujoco.MjSpec, config: ModelConfig) -> mujoco.MjModel:
         model = spec.compile()
     except ValueError as error:
         raise ValueError(f"MuJoCo cannot compile the model: {error}") from error
-    cassie.check(model)
+    _check(model)
     return model
+
+
+def _check(model: mujoco.MjModel) -> None:
+    """Raise ValueError unless `model` has Cassie's joints, bodies and actuators in Cassie's order."""
+    for what, expected, found in (
+        ("joint", tuple(name for name, *_ in cassie.JOINTS), tuple(model.joint(i).name for i in range(model.njnt))),
+        ("body", cassie.BODIES, tuple(model.body(i).name for i in range(model.nbody))),
+        ("actuator", cassie.ACTUATORS, tuple(model.actuator(i).name for i in range(model.nu))),
+    ):
+        missing = [name for name in expected if name not in found]
+        if missing:
+            raise ValueError(f"The model lacks the {what} {', '.join(missing)}; it has {', '.join(found)}.")
+        if expected != found:
+            raise ValueError(
+                f"The model's {what} order is not Cassie's: got {', '.join(found)}; want {', '.join(expected)}."
+            )

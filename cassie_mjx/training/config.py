@@ -4,11 +4,11 @@ from dataclasses import dataclass, field, replace
 
 import jax
 
-from cassie_mjx.control.command import speed_factors
-from cassie_mjx.envs.walk import WALK_PRESETS, WalkConfig
+from cassie_mjx.envs.config import WALK_PRESETS, WalkConfig
+from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.ppo import learner
 from cassie_mjx.ppo.config import PPO_PRESETS, PPOConfig
-from cassie_mjx.robot.model import steps_per_control
+from cassie_mjx.robot.model import CONTACTS, steps_per_control
 
 # Rates that training is stable and fast at, Hz; every return is measured at 2 kHz.
 TRAINING_HZ = {"native": 500, "mjx": 1000}
@@ -27,6 +27,9 @@ class TrainConfig:
     """"native": MuJoCo C on CPU threads; "mjx"; "auto": MJX if there is an accelerator."""
     physics_hz: int | None = None
     """Physics steps a second in training; null for 500 on MuJoCo C and 1000 on MJX."""
+    contacts: str = "full"
+    """What can touch in training: "walking", the feet and the floor alone; "full", legs, shanks and pelvis too, as in
+    every evaluation; "published", the thighs too."""
     seed: int = 0
     """What all random numbers of the run come from."""
     reference: str = "walk"
@@ -52,6 +55,8 @@ class TrainConfig:
         speed_factors(self.speed)
         if self.physics not in ("auto", *TRAINING_HZ):
             raise ValueError(f"physics={self.physics} is not known; choose one of auto, {', '.join(TRAINING_HZ)}.")
+        if self.contacts not in CONTACTS:
+            raise ValueError(f"contacts={self.contacts} is not known; choose one of {', '.join(CONTACTS)}.")
         if self.physics_hz is not None:
             steps_per_control(self.physics_hz)
         if self.evaluate_every < 1:

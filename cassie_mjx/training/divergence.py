@@ -25,15 +25,16 @@ import numpy as np
 
 from cassie_mjx.envs.types import WalkState
 from cassie_mjx.envs.walk import WalkEnv
-from cassie_mjx.physics.types import Array, Disturbance, Physics, PhysicsState
+from cassie_mjx.physics.types import Physics, PhysicsState, Scenario
 from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.ppo.rollout import collect_on_host
 from cassie_mjx.ppo.types import Policy
+from cassie_mjx.robot.arrays import Array
 from cassie_mjx.robot.ground import set_terrain
 from cassie_mjx.robot.model import ModelConfig, load_model, servo_model
 
 Divergence = dict[str, Any]
-"""One robot's `PhysicsState` and `Disturbance`, field by field, its PD targets `target` and `n_steps`."""
+"""One robot's `PhysicsState` and `Scenario`, field by field, its PD targets `target` and `n_steps`."""
 
 
 def replay(env: WalkEnv, config: PPOConfig, policy: Policy, state: WalkState, key: jax.Array) -> Divergence | None:
@@ -62,10 +63,10 @@ def dump(folder: Path, physics: Physics, divergence: Divergence) -> None:
       OSError: they cannot be written.
     """
     folder.mkdir(parents=True)
-    model, height = physics.model, float(divergence["terrain"])
+    model, height = physics.model, float(divergence["ground"])
     if height and not model.nhfield:  # on MJX the terrain is planes that move
         model = load_model(ModelConfig(physics_hz=round(1 / model.opt.timestep), scene="terrain"))
-    model = servo_model(model, physics.damping)
+    model = servo_model(model, float(divergence["kd_scale"]))
     if model.nhfield:
         set_terrain(model, height)
     mujoco.mj_saveModel(model, str(folder / "model.mjb"))
@@ -76,15 +77,15 @@ class _WatchedPhysics:
     """An engine that remembers what it was asked for when a robot's state first stopped being finite."""
 
     def __init__(self, physics: Physics) -> None:
-        self.model, self.max_delay, self.damping = physics.model, physics.max_delay, physics.damping
+        self.model, self.max_delay, self.traceable = physics.model, physics.max_delay, False
         self.init, self.bodies, self._advance = physics.init, physics.bodies, physics.advance
         self.divergence: Divergence | None = None
 
-    def advance(self, state: PhysicsState, target: Array, disturbance: Disturbance, n_steps: int) -> PhysicsState:
-        after = self._advance(state, target, disturbance, n_steps)
+    def advance(self, state: PhysicsState, target: Array, scenario: Scenario, n_steps: int) -> PhysicsState:
+        after = self._advance(state, target, scenario, n_steps)
         lost = np.flatnonzero(~np.isfinite(np.concatenate([after.qpos, after.qvel], axis=1)).all(axis=1))
         if len(lost) and self.divergence is None:
-            fields = asdict(state) | asdict(disturbance) | {"target": target}
+            fields = asdict(state) | asdict(scenario) | {"target": target}
             self.divergence = {name: np.asarray(value)[lost[0]] for name, value in fields.items()}
             self.divergence["n_steps"] = n_steps
         return after

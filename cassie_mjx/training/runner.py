@@ -17,16 +17,16 @@ import jax
 from rich.console import Console
 
 from cassie_mjx import cli
+from cassie_mjx.agents.policy import PolicyAgent, policy_step
 from cassie_mjx.agents.policy_file import save_policy
-from cassie_mjx.control import observation
-from cassie_mjx.control.command import speed_factors
-from cassie_mjx.evaluation.returns import referee, walk_returns
+from cassie_mjx.evaluation.returns import walk_returns
+from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import stretch
-from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.physics.make import make_physics
 from cassie_mjx.ppo import networks
 from cassie_mjx.ppo.types import Policy
-from cassie_mjx.robot.model import ModelConfig, load_model
+from cassie_mjx.robot.model import ModelConfig
 from cassie_mjx.training import checkpoint, devices, divergence, run_directory
 from cassie_mjx.training.config import TrainConfig, resolve_config
 from cassie_mjx.training.loggers import JsonLines, TensorBoard, Terminal
@@ -53,7 +53,7 @@ class Lap:
     """Time in training, s."""
     iterations: int = 0
     ends: Counter[str] = field(default_factory=Counter)
-    """Episodes that ended by each of `walk.ENDS`."""
+    """Episodes that ended by each of `termination.Ends`."""
 
 
 class Session:
@@ -82,8 +82,10 @@ class Session:
         self.saved = self.done if restored else None
         self.terminal = Terminal(console, config.ppo.iterations, self.done)
         self.sinks = self._sinks() if devices.is_first() else ()
-        judge = NativePhysics(load_model(ModelConfig()), damping=config.walk.damping)
-        self.referee, self.act = referee(self.motion, judge, speeds), jax.jit(self._act)
+        self.law, self.speeds = config.walk.law, speeds
+        self.eval_engine = make_physics("native", ModelConfig())
+        motion = self.trainer.env.motion
+        self.policy_step = jax.jit(partial(policy_step, self.law, motion))
         self.lap = Lap()
         self.diagnosed = bool(max(devices.exchange((self.folder / "nan").exists())))
 
@@ -156,15 +158,16 @@ class Session:
         self.counters.train_s += seconds
         self.lap.train_s += seconds
 
-    def _act(self, policy: Policy, seen: jax.Array) -> jax.Array:
-        act = partial(networks.mode, policy)
-        return observation.symmetric(act)(seen) if self.config.walk.symmetric else act(seen)
+    def _agent(self, policy: Policy) -> PolicyAgent:
+        """The policy as an agent, compiled once for all policies of the run."""
+        network = networks.acting(policy)
+        return PolicyAgent("policy", self.law, self.motion, network, self.config.walk.kd_scale, step=self.policy_step)
 
     def _measure(self, metrics: IterationMetrics) -> None:
         """Measure the return, log it, and keep the policy."""
         began = time.perf_counter()
         walk, policy = self.config.walk, devices.own_copy(self.run.learner.policy)
-        returns = walk_returns(partial(self.act, policy), self.referee)
+        returns = walk_returns(self._agent(policy), self.eval_engine, self.speeds)
         values = self._values(metrics, returns, time.perf_counter() - began)
         for sink in self.sinks:
             sink.write(values)
@@ -172,13 +175,11 @@ class Session:
         names = ["last"]
         # No undisturbed return tells which policy is the most robust: under disturbances, it is the last.
         goal, counters = f"return_{self.config.walk.reward}", self.counters
-        if returns[goal] > getattr(counters, goal) or self.config.walk.disturbance.active:
+        if returns[goal] > getattr(counters, goal) or self.config.walk.scenario.active:
             counters.return_plain, counters.return_weighted = returns["return_plain"], returns["return_weighted"]
             names.append("best")
         for name in names:
-            save_policy(
-                self.folder / f"{name}.npz", policy, self.motion, self.factor, walk.damping, origin, walk.symmetric
-            )
+            save_policy(self.folder / f"{name}.npz", policy, self.motion, self.factor, walk.kd_scale, origin, self.law)
 
     def _values(self, metrics: IterationMetrics, returns: dict[str, float], eval_s: float) -> dict[str, float]:
         """One line of metrics; counts, rates and shares of the time are those since the last one."""

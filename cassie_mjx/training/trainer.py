@@ -10,16 +10,16 @@ import jax.numpy as jnp
 
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy_file import learner_policy, policy_path, shipped_policies
-from cassie_mjx.control import observation
-from cassie_mjx.control.command import speed_factors
-from cassie_mjx.envs.walk import ENDS, WalkEnv
+from cassie_mjx.envs.termination import Ends
+from cassie_mjx.envs.walk import WalkEnv
+from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.motion.reference import ReferenceMotion
-from cassie_mjx.physics.mjx import MjxPhysics
-from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.physics.make import make_physics
+from cassie_mjx.physics.types import Physics
 from cassie_mjx.ppo import learner, rollout
 from cassie_mjx.ppo.types import LearnerState, Policy, UpdateMetrics
 from cassie_mjx.robot import cassie
-from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_mjx_model, load_model, steps_per_control
+from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, steps_per_control
 from cassie_mjx.training import devices, divergence
 from cassie_mjx.training.config import TRAINING_HZ, TrainConfig
 from cassie_mjx.training.loggers import Stopwatch
@@ -39,7 +39,7 @@ class IterationMetrics(NamedTuple):
 
     update: UpdateMetrics
     ends: dict[str, jax.Array]
-    """Episodes that ended by each of `walk.ENDS`; one may have ended by several."""
+    """Episodes that ended by each of `termination.Ends`; one may have ended by several."""
 
 
 def initial_policy(config: TrainConfig) -> Policy | None:
@@ -74,11 +74,12 @@ class Trainer:
         self._places: Any = None
         update = partial(learner.update, config.ppo)
         model_hz = config.physics_hz or TRAINING_HZ[config.physics]
-        disturbance, damping = config.walk.disturbance, config.walk.damping
-        max_delay = disturbance.delay_steps(model_hz)
+        solver = MJX_TRAINING if config.physics == "mjx" else ModelConfig()
+        scene = "terrain" if config.walk.scenario.terrain_m else "flat"
+        model = replace(solver, physics_hz=model_hz, scene=scene, contacts=config.contacts)
+        physics = make_physics(config.physics, model, config.walk.scenario.delay_steps(model_hz))
         _, speeds = speed_factors(config.speed)
-        if config.physics == "mjx":
-            physics = MjxPhysics(load_mjx_model(replace(MJX_TRAINING, physics_hz=model_hz)), max_delay, damping)
+        if physics.traceable:
             self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots, speeds)
             self.collect = partial(rollout.collect, self.env.step, config.ppo)
             if jax.device_count() > 1:
@@ -88,9 +89,8 @@ class Trainer:
             # One compiled call an iteration. Left to itself, XLA moves empty arrays, and the next call compiles again.
             self.iterate = jax.jit(partial(iterate, self.collect, update), out_shardings=(self._places, None))
         else:
-            model = load_model(ModelConfig(physics_hz=model_hz, scene="terrain" if disturbance.terrain_m else "flat"))
-            physics = _TimedPhysics(NativePhysics(model, max_delay, damping=damping), self.watch)
-            self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots, speeds)
+            timed = _TimedPhysics(physics, self.watch)
+            self.env = WalkEnv(timed, motion, config.walk, config.ppo.num_robots, speeds)
             self.collect = partial(rollout.collect_on_host, self.env.step, config.ppo)
             self.iterate = partial(iterate, self.collect, self.watch.timed("learner", update))
 
@@ -106,11 +106,11 @@ class Trainer:
         """
         init_key, reset_key, _, run_key = self._keys()
         env_state = self.env.reset(reset_key)
-        sizes = (observation.SIZE, cassie.NU, env_state.privileged.shape[-1])
+        sizes = (self.env.law.observation.size, cassie.NU, env_state.privileged.shape[-1])
         state = learner.init(init_key, self.config.ppo, *sizes)
         if policy is not None:
             state = state._replace(policy=policy._replace(std=state.policy.std))
-        if self.config.physics == "mjx":
+        if self.env.physics.traceable:
             env_state = jax.tree.map(jnp.asarray, env_state)
         return self._placed(RunState(state, env_state, jax.random.key_data(run_key)))
 
@@ -146,7 +146,7 @@ def iterate(
     collect_key, update_key = iteration_keys(run)
     env_state, experience = collect(run.learner.policy, run.env, collect_key)
     state, metrics = update(run.learner, experience, update_key)
-    ends = {name: experience.metrics[name].sum() for name in ENDS}
+    ends = {name: experience.metrics[name].sum() for name in Ends._fields}
     return RunState(state, env_state, run.key), IterationMetrics(metrics, ends)
 
 
@@ -158,7 +158,7 @@ def iteration_keys(run: RunState) -> jax.Array:
 class _TimedPhysics:
     """An engine whose time in `advance` is counted under "physics"."""
 
-    def __init__(self, physics: NativePhysics, watch: Stopwatch) -> None:
-        self.model, self.max_delay, self.damping = physics.model, physics.max_delay, physics.damping
+    def __init__(self, physics: Physics, watch: Stopwatch) -> None:
+        self.model, self.max_delay, self.traceable = physics.model, physics.max_delay, physics.traceable
         self.init, self.bodies = physics.init, physics.bodies
         self.advance = watch.timed("physics", physics.advance)
