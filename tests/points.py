@@ -1,13 +1,13 @@
-"""An engine of points and a subject that does nothing, with which trials have outcomes written down beforehand."""
+"""An engine of points and an agent that does nothing, with which trials have outcomes written down beforehand."""
 
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from acting import TestAgent
 
 from cassie_mjx.agents.types import AgentState
-from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.types import PhysicsState
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import namespace
@@ -23,10 +23,10 @@ class _Points:
     `falls(start, velocity, t, scenario)` says which are down: true, false or NaN.
     """
 
-    max_delay, kd_scale = 0, 1.0
+    max_delay, traceable = 0, False
 
     def __init__(self, hertz=2000, pull=0.0, falls=never):
-        self.model = SimpleNamespace(opt=SimpleNamespace(timestep=1 / hertz))
+        self.model = SimpleNamespace(opt=SimpleNamespace(timestep=1 / hertz), nu=10)
         self.pull, self.falls = pull, falls
         self.flown = 0
 
@@ -43,8 +43,10 @@ class _Points:
         return replace(state, qpos=qpos, qvel=qvel, step=step)
 
 
-class _CompiledPoints(_Points, MjxPhysics):
+class _CompiledPoints(_Points):
     """The same as an engine of compiled calls."""
+
+    traceable = True
 
 
 def points(**how) -> Any:
@@ -57,10 +59,10 @@ def compiled_points(**how) -> Any:
     return _CompiledPoints(**how)
 
 
-class Still:
-    """A subject that asks for zero angles; it remembers how often it acted."""
+class Still(TestAgent):
+    """An agent that asks for zero angles."""
 
-    name, period_s, kd_scale, provenance = "still", 0.032, 1.0, {}
+    name = "still"
 
     def start(self, physics, phases):
         robots = len(phases)
@@ -69,12 +71,3 @@ class Still:
         zero = np.zeros((robots, cassie.NV))
         state = PhysicsState(qpos, zero, zero, np.zeros(robots, np.int32), np.zeros((robots, 0, 67)))
         return AgentState(state, np.zeros(robots))
-
-    def returns(self, physics, delay=0):
-        return []
-
-    def act(self, physics, seen, memory):
-        return np.zeros((len(memory), cassie.NU)), memory + 1
-
-    def moved(self, memory, offset):
-        return memory

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from subject import Swaying
+from acting import Swaying
 
 from cassie_mjx.evaluation.film import film
 from cassie_mjx.evaluation.scheduler import run_trials

@@ -53,7 +53,7 @@ def policy_files(motions, tmp_path_factory):
 @pytest.fixture(scope="module")
 def states(walk):
     noise = np.random.default_rng(0)
-    qpos, qvel = sample(walk, PHASES, 0 * PHASES)
+    qpos, qvel = sample(walk, PHASES)
     return qpos + 0.02 * noise.normal(size=qpos.shape), qvel + 0.1 * noise.normal(size=qvel.shape)
 
 
@@ -64,7 +64,7 @@ def linear(seed):
 
 def single(policy, motion, phase, qpos, qvel):
     """PD targets of one policy on its own reference."""
-    ahead, ahead_velocity = sample(motion, phase, 0 * phase)
+    ahead, ahead_velocity = sample(motion, phase)
     return ahead[:, cassie.ACTIVE_QPOS] + policy(observation.build(qpos, qvel, ahead, ahead_velocity))
 
 
@@ -107,7 +107,7 @@ def test_the_reference_blends_phase_by_phase(motions):
     lam = 0.3
     qpos, qvel = blending.blended_sample(motions, np.full(ROBOTS, 1 - lam), PHASES)
     mixed = blend_motions(motions[0], motions[1], lam)
-    expected = sample(mixed, PHASES, 0 * PHASES)
+    expected = sample(mixed, PHASES)
     np.testing.assert_allclose(qpos, expected[0], atol=1e-12)
     np.testing.assert_allclose(qvel, expected[1], atol=1e-12)
 
@@ -117,7 +117,7 @@ def test_pelvis_x_advances_without_a_jump_while_lambda_falls(motions):
     # All the way along the chain in five strides; lambda changes with every step, at the ends of strides too.
     position = np.linspace(0, 2, len(steps))
     gain = blending.advance(motions, position, steps)
-    alone = np.diff(sample(motions[0], np.arange(len(steps) + 1), np.zeros(len(steps) + 1, int))[0][:, 0])
+    alone = np.diff(sample(motions[0], np.arange(len(steps) + 1))[0][:, 0])
     np.testing.assert_allclose(gain, (1 + position) * alone, atol=1e-12)
     constant = blending.advance(motions, np.full(22, 0.5), np.arange(22))
     assert constant.sum() == pytest.approx(1.5 * motions[0].stride_length)

@@ -44,7 +44,7 @@ def toy(samples=4, yaw=0.0):
 
 def next_stride(motion):
     """The samples of a stride and the first of the next, as a recording has them."""
-    return sample(motion, np.arange(len(motion.qpos) + 1), np.zeros(len(motion.qpos) + 1, int))
+    return sample(motion, np.arange(len(motion.qpos) + 1))
 
 
 def in_jax(motion):
@@ -53,7 +53,7 @@ def in_jax(motion):
 
 def test_phase_wraps_and_carries_into_the_stride():
     phase, stride = np.array([0, 3, 4, 9, -1, 1]), np.array([0, 0, 0, 1, 2, 1000])
-    qpos, qvel = sample(toy(), phase, stride)
+    qpos, qvel = sample(toy(), phase + len(toy().qpos) * stride)
     np.testing.assert_allclose(qpos[:, X], [0.0, 0.3, 0.5, 0.1 + 3 * 0.5, 0.3 + 0.5, 0.1 + 500], atol=1e-12)
     np.testing.assert_array_equal(qpos[:, 1:], np.tile(toy().qpos[0, 1:], (6, 1)))
     assert qvel.shape == (6, cassie.NV)
@@ -61,10 +61,11 @@ def test_phase_wraps_and_carries_into_the_stride():
 
 def test_sample_under_jit_is_sample_on_numpy(motion):
     phase, stride = np.array([0, 21, 22, -1, 50]), np.array([3, 2, 1, 0, -1])
-    expected = sample(motion, phase, stride)
+    time = phase + len(motion.qpos) * stride
+    expected = sample(motion, time)
     with jax.numpy_dtype_promotion("strict"):
         compiled = jax.jit(sample)(in_jax(motion), phase, stride)
-        closed_over = jax.jit(lambda k, n: sample(motion, k, n))(phase, stride)
+        closed_over = jax.jit(lambda k: sample(motion, k))(time)
     for found in (compiled, closed_over):
         assert found[0].dtype == jnp.float32
         for ours, numpy in zip(found, expected, strict=True):
@@ -89,9 +90,9 @@ def test_stretch_outside_the_papers_range(motion, factor):
 
 def test_states_stretch_robot_by_robot(motion):
     phase, stride, factor = np.array([0, 5, 30]), np.array([0, 2, 1]), np.array([0.0, 1.0, 2.7])
-    ours = stretch_states(*sample(motion, phase, stride), factor)
+    ours = stretch_states(*sample(motion, time), factor)
     for i in range(3):
-        theirs = sample(stretch(motion, factor[i]), phase[i : i + 1], stride[i : i + 1])
+        theirs = sample(stretch(motion, factor[i]), time[i : i + 1])
         for our, their in zip(ours, theirs, strict=True):
             np.testing.assert_allclose(our[i], their[0], atol=1e-12)
     for unit, state in zip(stretch_states(motion.qpos, motion.qvel, 1.0), (motion.qpos, motion.qvel), strict=True):
@@ -140,7 +141,7 @@ def test_shipped_stride_is_the_papers(motion):
 
 
 def test_shipped_stride_is_its_mirror_image_half_a_stride_on(motion):
-    ahead, velocity_ahead = sample(motion, np.arange(22) + HALF, np.zeros(22, int))
+    ahead, velocity_ahead = sample(motion, np.arange(22) + HALF)
     image = cassie.mirror_qpos(motion.qpos)
     image[:, X] += motion.stride_length / 2
     np.testing.assert_allclose(ahead, image, atol=1e-14)
@@ -176,10 +177,10 @@ def test_shipped_stride_walks_on_the_floor(model, motion):
 def test_the_reference_angles_alone_fall(model, motion):
     """Why a policy is needed: zero residual, PD loop at 2 kHz, from every phase."""
     physics, phase, none = NativePhysics(model), np.arange(22), np.zeros(22, int)
-    state = physics.init(*sample(motion, phase, none))
+    state = physics.init(*sample(motion, phase))
     up, seconds = np.ones(22, bool), np.zeros(22)
     for step in range(1, 64):
-        target = sample(motion, phase + step, none)[0][:, cassie.ACTIVE_QPOS]
+        target = sample(motion, phase + step)[0][:, cassie.ACTIVE_QPOS]
         state = physics.advance(state, target, Scenario.nominal(22), 64)
         up &= (state.qpos[:, Z] > 0.6) & (state.qpos[:, Z] < 1.2)
         seconds += 0.032 * up

@@ -86,7 +86,7 @@ def test_a_file_of_another_kind(tmp_path, motion):
 def trajectory(motion, duration):
     """Rows of the public format: the motion at 2 kHz, paced to last `duration` s; its velocities are left alone."""
     # A stride and the first sample of the next.
-    qpos, qvel = sample(motion, np.arange(23), np.zeros(23, int))
+    qpos, qvel = sample(motion, np.arange(23))
     at = np.linspace(0, 22, round(duration * 2000) + 1)
     columns = [np.interp(at, np.arange(23), column) for column in np.hstack([qpos, qvel]).T]
     rows = np.zeros((len(at), 98))

@@ -8,7 +8,7 @@ import imageio.v3 as imageio
 import imageio_ffmpeg
 import numpy as np
 import pytest
-from subject import Swaying
+from acting import Swaying
 
 from cassie_mjx import cli, render
 from cassie_mjx.agents import make

@@ -1,83 +1,80 @@
-"""The return by hand: an environment whose rewards and falls are written down."""
+"""The return by hand: rewards and falls are written down."""
 
-from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
-
+import jax
 import numpy as np
 import pytest
 
-from cassie_mjx.envs.config import WalkConfig
-from cassie_mjx.evaluation.returns import STARTS, walk_returns
-from cassie_mjx.motion.files import load_motion
-from cassie_mjx.physics.types import Scenario
+from cassie_mjx.agents.make import make_policy_agent
+from cassie_mjx.control.network import Network
+from cassie_mjx.evaluation import returns
+from cassie_mjx.evaluation.returns import STARTS, ReturnRecord, walk_returns
+from cassie_mjx.motion.reference import sample
+from cassie_mjx.physics.make import make_physics
+from cassie_mjx.physics.types import PhysicsState, Scenario
+from cassie_mjx.robot.model import ModelConfig
 
 
-class Scripted:
-    """Robot b earns 0.5 plain and 0.25 weighted a step and falls in steps b + 1 and b + 3; robot 0 never falls."""
-
-    def __init__(self, robots, steps=8, early_end=None):
-        self.phase = np.zeros(robots, int)
-        self.robots, self.samples = robots, 22
-        self.config = WalkConfig(min_reward=early_end, max_position_error_m=None, episode_steps=steps)
-
-    def reset_at(self, phase, scenario):
-        self.phase, self.steps, self.scenario = phase, 0, scenario
-        return self._state()
-
-    def step(self, state, action, key):
-        assert action.shape == (self.robots, 10)
-        self.steps += 1
-        return self._state()
-
-    def _state(self):
-        robots = np.arange(self.robots)
-        fallen = (robots > 0) & ((self.steps == robots + 1) | (self.steps == robots + 3))
-        ones = np.ones(self.robots)
-        metrics = {"plain": 0.5 * ones, "weighted": 0.25 * ones}
-        return SimpleNamespace(observation=np.zeros((self.robots, 80)), metrics=metrics, terminated=fallen)
+@pytest.fixture(scope="module")
+def agent():
+    return make_policy_agent("1x")
 
 
-def scripted(robots, early_end=None) -> Any:
-    return Scripted(robots, early_end=early_end)
+@pytest.fixture(scope="module")
+def physics():
+    return make_physics("native", ModelConfig())
 
 
-def act(observation):
-    return np.zeros((len(observation), 10))
+def record(agent, robots):
+    zeros = np.zeros(robots)
+    time = np.zeros(robots, np.int32)
+    return ReturnRecord(time, time, zeros > 0, zeros, zeros, None, agent.motion)
 
 
-def test_rewards_count_up_to_the_first_fall():
-    # Robots 0, 1, 2 earn for 8, 2 and 3 steps, the last of which is the fall.
-    returns = walk_returns(act, scripted(3))
-    assert returns["return_plain"] == pytest.approx(0.5 * (8 + 2 + 3) / 3)
-    assert returns["return_weighted"] == pytest.approx(0.25 * (8 + 2 + 3) / 3)
-    assert returns["steps"] == pytest.approx((8 + 1 + 2) / 3)
+def on_reference(agent, robots, time, down=()):
+    qpos, qvel = (np.array(x, float) for x in sample(agent.motion, np.full(robots, time)))
+    qpos[list(down), 2] = 0.5
+    return PhysicsState(qpos, qvel, 0 * qvel, np.zeros(robots, np.int32), np.zeros((robots, 0, 67)))
 
 
-def test_starts_are_tenths_of_the_stride():
-    env = scripted(10)
-    walk_returns(act, env)
+def test_rewards_count_up_to_the_first_fall(agent):
+    """On the reference a step earns 1; robot 1 falls in step 2 and gets up, robot 2 in step 3."""
+    sums = record(agent, 3)
+    for step, down in ((1, ()), (2, (1,)), (3, (2,)), (4, ())):
+        sums = sums.update(on_reference(agent, 3, step, down), Scenario.nominal(3))
+    # Lying 0.4 to 0.5 m too low, a robot earns 0.7 + 0.3 exp(-dz^2).
+    lying = [0.7 + 0.3 * np.exp(-((agent.motion.qpos[k, 2] - 0.5) ** 2)) for k in (2, 3)]
+    np.testing.assert_allclose(sums.plain, [4, 1 + lying[0], 2 + lying[1]], atol=1e-5)
+    np.testing.assert_array_equal(sums.steps, [4, 1, 2])
+    np.testing.assert_array_equal(sums.fell, [False, True, True])
+
+
+def test_starts_are_tenths_of_the_stride(agent, physics, monkeypatch):
+    begun = []
+    monkeypatch.setattr(returns, "run_to_end", lambda agent, physics, begin: begun.append(begin) or begin)
+    walk_returns(agent, physics, delay=0)
     # round(2.2 k)
-    assert env.phase.tolist() == [0, 2, 4, 7, 9, 11, 13, 15, 18, 20]
+    assert begun[0].record.time.tolist() == [0, 2, 4, 7, 9, 11, 13, 15, 18, 20]
+    assert begun[0].robots.carry.time.tolist() == begun[0].record.time.tolist()
+    walk_returns(agent, physics, delay=4)
+    assert begun[1].scenario.delay.tolist() == [4] * STARTS
+    walk_returns(agent, physics, speeds=(0.0, 4.0))
+    np.testing.assert_allclose(begun[2].command.forward, np.linspace(0, 4, STARTS) * 0.5 / 0.704, atol=2e-3)
 
 
-def test_a_disturbance_acts_from_the_start():
-    env, late = scripted(3), replace(Scenario.nominal(3), delay=np.full(3, 10, np.int32))
-    walk_returns(act, env, late)
-    assert env.scenario is late
-    walk_returns(act, env)
-    assert not env.scenario.delay.any()
+def test_a_limp_robot_falls(agent, physics):
+    limp = np.arctanh([0, 0, 0.99, 0.99, 0.99] * 2)
+    layers = tuple((0 * np.asarray(w), 0 * np.asarray(b)) for w, b in agent.network.layers)
+    network: Network = agent.network._replace(layers=(*layers[:-1], (layers[-1][0], limp)))
+    found = walk_returns(type(agent)("limp", agent.law, agent.motion, network), physics)
+    assert 1 < found["steps"] < 60
+    assert 0 < found["return_weighted"] < found["return_plain"] < found["steps"] + 1
 
 
-def test_early_ends_are_refused():
-    with pytest.raises(ValueError, match="without early ends"):
-        walk_returns(act, scripted(3, early_end=0.6))
+def test_a_network_as_an_argument_gives_what_its_own_compilation_does(agent, physics):
+    from functools import partial
 
+    from cassie_mjx.agents.policy import policy_step
 
-def test_the_referee_is_mujoco_c_at_2_khz_and_a_limp_robot_falls_there():
-    env = referee(load_motion("walk"))
-    assert env.physics.model.opt.timestep == 1 / 2000
-    assert (env.robots, env.config.episode_steps, env.config.ends_early) == (STARTS, 300, False)
-    returns = walk_returns(lambda seen: np.full((len(seen), 10), [0, 0, 1, 1, 1] * 2), env)
-    assert 1 < returns["steps"] < 60
-    assert 0 < returns["return_weighted"] < returns["return_plain"] < returns["steps"] + 1
+    step = jax.jit(partial(policy_step, agent.law, agent.motion))
+    other = type(agent)("1x", agent.law, agent.motion, agent.network, step=step)
+    assert walk_returns(other, physics) == pytest.approx(walk_returns(agent, physics), rel=1e-4)

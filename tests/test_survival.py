@@ -16,11 +16,11 @@ from experiments.survival import SurvivalConfig, main, rows
 class Standing(EvalSetup):
     """A setting whose engine is one of points."""
 
-    def physics(self, subject, scene="flat", longest_delay_s=0.0):
+    def physics(self, scene="flat", longest_delay_s=0.0):
         return points()
 
-    def starts(self, subject, phases, longest_delay_s=0.0):
-        return subject.start(points(), phases)
+    def starts(self, agent, phases, longest_delay_s=0.0):
+        return agent.start(points(), phases)
 
 
 def test_a_share_is_that_of_the_starts_of_a_level():
@@ -51,7 +51,7 @@ def test_levels_from_none_on_are_walked(monkeypatch, tmp_path):
 def test_each_level_disturbs_as_it_says(monkeypatch):
     flown = []
 
-    def run_trials(subject, physics, starts, trials, watch, lanes):
+    def run_trials(agent, physics, starts, trials, progress, num_envs):
         flown.extend(trials)
         return SimpleNamespace(fell=np.zeros(len(trials), bool))
 

@@ -5,12 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from acting import Swaying
 from points import Still, compiled_points, points
-from subject import Swaying
 
 from cassie_mjx.agents.types import AgentState
 from cassie_mjx.envs.termination import fallen
-from cassie_mjx.evaluation import simulate
 from cassie_mjx.evaluation.record import motor_effort
 from cassie_mjx.evaluation.scheduler import LimitSearch, run, run_trials
 from cassie_mjx.evaluation.trial import Trial, moved, placed, scenario_of
@@ -104,12 +103,12 @@ def test_a_robot_with_nan_has_fallen(engine):
 @pytest.mark.parametrize("hertz", [1000, 2000])
 def test_a_push_lasts_a_fifth_of_a_second_in_the_heading_frame(hertz):
     yaw = np.array([0.0, np.pi / 3, -np.pi / 2])
-    physics, subject = points(hertz=hertz), Still()
-    starts = subject.start(physics, np.zeros(3))
+    physics, agent = points(hertz=hertz), Still()
+    starts = agent.start(physics, np.zeros(3))
     starts.physics.qpos[:, 3:7] = [turned(angle) for angle in yaw]
     starts.physics.step[:] = (0, 128, 640)
     trials = [Trial(k, 1.0, push=(100.0, 30.0)) for k in range(3)]
-    scenario = scenario_of(trials, starts.physics, round(0.2 * hertz))
+    scenario = scenario_of(agent, trials, starts.physics, round(0.2 * hertz))
     np.testing.assert_array_equal(scenario.push_stop - scenario.push_start, round(0.2 * hertz))
     np.testing.assert_array_equal(scenario.push_start, starts.physics.step)
     np.testing.assert_allclose(scenario.push[0], [100, 30, 0], atol=1e-12)
@@ -122,14 +121,14 @@ def test_a_push_lasts_a_fifth_of_a_second_in_the_heading_frame(hertz):
         return t < 0
 
     physics.falls = watched
-    run_trials(subject, physics, starts, trials)
+    run_trials(agent, physics, starts, trials)
     np.testing.assert_allclose(impulses[-1], 0.2 * scenario.push, atol=1e-9)
 
 
 def test_pushed_robots_are_pushed_for_400_steps_of_mujoco(model, standing_qpos):
     physics = NativePhysics(model)
     state = physics.init(standing_qpos[None], np.zeros((1, cassie.NV)))
-    scenario = scenario_of([Trial(0, 1.0, push=(50.0, 0.0))], state, 400)
+    scenario = scenario_of(Still(), [Trial(0, 1.0, push=(50.0, 0.0))], state, 400)
     shorter = replace(scenario, push_stop=scenario.push_stop - 1)
     targets = cassie.STANDING_TARGET[None]
     before = physics.advance(state, targets, scenario, 399)
@@ -179,7 +178,7 @@ def test_only_work_done_counts_as_power():
     # P target - D qdot: 100 x 0.3 - 10 x 2 = 10 N·m at 2 rad/s; 100 x 0 + 10 x 3 = 30 N·m against -3 rad/s.
     target = np.array([[0.3] + [0.0] * 9])
     state = PhysicsState(qpos, qvel, qvel, np.zeros(1, np.int32), np.zeros((1, 0, 67)))
-    np.testing.assert_allclose(motor_effort(state, target, Scenario.nominal(1), 1.0), [[(10 + 30) / 10, 20.0]])
+    np.testing.assert_allclose(motor_effort(state, target, Scenario.nominal(1)), [[(10 + 30) / 10, 20.0]])
 
 
 @ENGINES
@@ -187,9 +186,9 @@ def test_effort_is_a_mean_over_time(engine):
     class Pushing(Still):
         """Asks for 0.5 rad and 0 rad of the first joint in turn: 50 N·m and none."""
 
-        def act(self, physics, seen, memory):
-            target = 0.5 * (memory % 2 == 0)[:, None] * (np.arange(cassie.NU) == 0)
-            return target, memory + 1
+        def step(self, carry, sensed, command):
+            target = 0.5 * (carry % 2 == 0)[:, None] * (np.arange(cassie.NU) == 0)
+            return target, carry + 1
 
     physics = engine()
     starts = Pushing().start(physics, np.zeros(1))
@@ -211,9 +210,9 @@ def test_terrain_begins_on_a_crest():
 
 def test_subjects_see_the_state_of_a_delay_ago(model, standing_qpos):
     class Standing(Still):
-        def act(self, physics, seen, memory):
-            self.seen = seen.qpos
-            return np.tile(cassie.STANDING_TARGET, (len(memory), 1)), memory
+        def step(self, carry, sensed, command):
+            self.seen = sensed.qpos
+            return np.tile(cassie.STANDING_TARGET, (len(carry), 1)), carry
 
     physics, subject = NativePhysics(model, max_delay=20), Standing()
     state = physics.init(np.tile(standing_qpos, (2, 1)), np.full((2, cassie.NV), 0.05))
@@ -222,24 +221,27 @@ def test_subjects_see_the_state_of_a_delay_ago(model, standing_qpos):
     at_44 = physics.advance(state, np.tile(cassie.STANDING_TARGET, (2, 1)), delay, 44)
     at_64 = physics.advance(at_44, np.tile(cassie.STANDING_TARGET, (2, 1)), delay, 20)
     np.testing.assert_array_equal(subject.seen, [at_44.qpos[0], at_64.qpos[1]])
-    moved = moved(subject, AgentState(at_64, np.zeros(2)), np.array([[1.0, 2.0, 3.0], [0, 0, 0]]))
-    np.testing.assert_allclose(moved.physics.history[0, :, :3] - at_64.history[0, :, :3], np.tile([1, 2, 3], (21, 1)))
-    np.testing.assert_array_equal(moved.physics.history[:, :, 3:], at_64.history[:, :, 3:])
+    carried = moved(subject, AgentState(at_64, np.zeros(2)), np.array([[1.0, 2.0, 3.0], [0, 0, 0]]))
+    np.testing.assert_allclose(carried.physics.history[0, :, :3] - at_64.history[0, :, :3], np.tile([1, 2, 3], (21, 1)))
+    np.testing.assert_array_equal(carried.physics.history[:, :, 3:], at_64.history[:, :, 3:])
 
 
-def test_effort_is_that_of_the_subjects_own_pd_law(model, monkeypatch):
-    seen = []
-    monkeypatch.setattr(simulate, "motor_effort", lambda *given: seen.append(given[3]) or motor_effort(*given))
-    subject, physics = Swaying(kd_scale=0.3), NativePhysics(model, kd_scale=0.3)
-    run_trials(subject, physics, subject.start(physics, np.zeros(1)), [Trial(0, 0.032)])
-    assert set(seen) == {0.3}
-
-
-def test_an_engine_of_another_pd_law_is_refused(model):
+def test_effort_and_motion_are_those_of_the_agents_own_pd_law(model):
+    """With 0.3 of the D gains the motors brake less: by hand for one control step at 0.02 rad/s."""
     physics = NativePhysics(model)
-    starts = Swaying().start(physics, np.zeros(1))
-    with pytest.raises(ValueError, match="swaying walks with kd_scale=0.3, this engine has 1; make it with"):
-        run_trials(Swaying(kd_scale=0.3), physics, starts, [Trial(0, 0.032)])
+    soft, full = (
+        run_trials(agent, physics, agent.start(physics, np.zeros(1)), [Trial(0, 0.032)])
+        for agent in (Swaying(kd_scale=0.3), Swaying())
+    )
+    assert soft.torque_nm < full.torque_nm
+
+
+@ENGINES
+def test_a_delay_longer_than_the_history_is_refused_at_the_door(engine):
+    """Under jit nothing could be raised any more."""
+    agent, physics = Still(), engine()
+    with pytest.raises(ValueError, match="delay of 3 physics steps was asked of an engine made for 0 to 0"):
+        run_trials(agent, physics, agent.start(physics, np.zeros(1)), [Trial(0, 1.0, delay=3)])
 
 
 def test_a_period_that_does_not_divide_the_control_step_is_refused():

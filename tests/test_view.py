@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from subject import Swaying
+from acting import Swaying
 
 from cassie_mjx import cli, view
 from cassie_mjx.agents import make

@@ -1,19 +1,20 @@
 """Actor and critic, and the Gaussian policy that the actor is the mean of."""
 
 import math
+from typing import cast
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from cassie_mjx.control.network import Network, action, perceptron
+from cassie_mjx.control.network import Network, action
 from cassie_mjx.ppo import normalizer
 from cassie_mjx.ppo.types import Params, Policy
 
 
 class MLP(nn.Module):
-    """Dense layers with ReLU between them, He-initialised (He et al. 2015), zero bias; `perceptron` applies them."""
+    """Dense layers with ReLU between them, He-initialised (He et al. 2015), zero bias."""
 
     widths: tuple[int, ...]
     """Outputs of each layer, first to last; the last layer is linear."""
@@ -45,12 +46,12 @@ def layers(params: Params) -> list[tuple[Array, Array]]:
 
 def actor_mean(params: Params, inputs: Float[Array, "*batch O"]) -> Float[Array, "*batch A"]:
     """Return the mean action, within +-1, for normalised observations."""
-    return jnp.tanh(perceptron(layers(params), inputs))
+    return jnp.tanh(_apply(params, inputs))
 
 
 def critic_value(params: Params, inputs: Float[Array, "*batch O"]) -> Float[Array, "*batch"]:
     """Return the value for normalised observations."""
-    return perceptron(layers(params), inputs).squeeze(-1)
+    return _apply(params, inputs).squeeze(-1)
 
 
 def acting(policy: Policy) -> Network:
@@ -89,3 +90,8 @@ def log_prob(
     # log N(a; mu, sigma^2 I) = -|a - mu|^2 / (2 sigma^2) - A log(sigma sqrt(2 pi))
     squares = jnp.square((action - mean) / std).sum(axis=-1)
     return -0.5 * squares - action.shape[-1] * (jnp.log(std) + 0.5 * math.log(2.0 * math.pi))
+
+
+def _apply(params: Params, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch outputs"]:
+    widths = tuple(bias.shape[0] for _, bias in layers(params))
+    return cast(Array, MLP(widths).apply({"params": params}, x))
