@@ -12,13 +12,14 @@ from cassie_mjx.agents.heuristic import HeuristicAgent
 from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.envs.termination import fallen
 from cassie_mjx.evaluation.scheduler import run_trials
-from cassie_mjx.evaluation.steady import walked
+from cassie_mjx.evaluation.steady import begin, walked
 from cassie_mjx.evaluation.suites import DIRECTIONS, LIMIT_PHASES, WALK_S
 from cassie_mjx.evaluation.trial import AFTER_PUSH_S, Trial
 from cassie_mjx.heuristic import law
 from cassie_mjx.heuristic.config import COMPLIANT, CONTROLLERS, STIFF
 from cassie_mjx.heuristic.kinematics import inverse_kinematics, level_foot
 from cassie_mjx.heuristic.law import ControllerState
+from cassie_mjx.heuristic.pendulum import Masses
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.loops import close_loops
@@ -79,12 +80,14 @@ def test_foot_placement_ends_the_next_step_at_the_wanted_velocity():
 
 def test_legs_switch_after_exactly_eleven_samples_of_32_ms(physics):
     config = replace(STIFF, haste=(0.0, 0.0))
-    state, (_, control) = HeuristicAgent("stiff").stand(physics, 1)
+    agent = HeuristicAgent("stiff")
+    state, (_, control) = begin(agent, physics, *agent.initial_state(1))
+    masses = Masses.of(physics.model)
     bodies = jax.tree.map(jnp.asarray, physics.bodies(state))
     qpos, qvel = jnp.asarray(state.qpos), jnp.asarray(state.qvel)
 
     def tick(control, _):
-        target, control = law.step(config, control, qpos, qvel, bodies, 0.001)
+        target, control = law.step(config, masses, control, qpos, qvel, bodies, 0.001)
         return control, (target, control.stance[0])
 
     _, (targets, stance) = jax.jit(lambda c: jax.lax.scan(tick, c, length=60000))(control)

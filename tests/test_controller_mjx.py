@@ -8,6 +8,7 @@ import pytest
 
 from cassie_mjx.heuristic import law
 from cassie_mjx.heuristic.config import CONTROLLERS
+from cassie_mjx.heuristic.pendulum import Masses
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot import cassie
@@ -25,11 +26,14 @@ def test_walks_ten_seconds(standing_qpos, name):
     scenario = Scenario.nominal(ROBOTS)
     qvel = 0.02 * np.random.default_rng(0).normal(size=(ROBOTS, cassie.NV)).astype(np.float32)
     state = physics.init(np.tile(standing_qpos, (ROBOTS, 1)).astype(np.float32), qvel)
+    masses = Masses.of(physics.model)
     control = law.init(config, state.qpos, physics.bodies(state))
 
     def act(carry, _):
         state, control = carry
-        target, control = law.step(config, control, state.qpos, state.qvel, physics.bodies(state), config.period)
+        target, control = law.step(
+            config, masses, control, state.qpos, state.qvel, physics.bodies(state), config.period
+        )
         state = physics.advance(state, target, scenario, act_steps)
         return (state, control), state.qpos[:, :3]
 

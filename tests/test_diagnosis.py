@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from seeing import FULL
 
-from cassie_mjx.control import observation
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.files import load_motion
@@ -40,7 +40,7 @@ def replayed(physics, robot_1_turns_at=0.0, scenario=PUSH):
     qvel = np.array(state.physics.qvel)
     qvel[1, 3] += robot_1_turns_at
     state = replace(state, physics=physics.init(state.physics.qpos, qvel))
-    policy = learner.init(jax.random.key(0), CONFIG, observation.SIZE, cassie.NU, 1).policy
+    policy = learner.init(jax.random.key(0), CONFIG, FULL.size, cassie.NU, 1).policy
     return divergence.replay(env, CONFIG, policy, jax.tree.map(physics_array(physics), state), jax.random.key(1))
 
 

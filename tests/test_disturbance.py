@@ -10,7 +10,7 @@ import pytest
 from cassie_mjx.envs import reward
 from cassie_mjx.envs.brax_env import CassieEnv
 from cassie_mjx.envs.config import WalkConfig
-from cassie_mjx.envs.scenario import ScenarioConfig
+from cassie_mjx.envs.scenario import ScenarioConfig, draw_scenario, renew_scenario
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import sample
@@ -45,7 +45,7 @@ def assert_same(these, those):
 
 def test_draws_are_uniform_over_their_ranges():
     robots = 20_000
-    drawn = jax.tree.map(np.asarray, draw(ALL, jax.random.key(0), robots, HZ))
+    drawn = jax.tree.map(np.asarray, draw_scenario(ALL, jax.random.key(0), robots, HZ))
     force = np.linalg.norm(drawn.push, axis=1)
     np.testing.assert_allclose([force.min(), force.mean(), force.max()], [0, 100, 200], atol=1.5)
     # The second moments of a horizontal vector of uniform direction: E F² / 2 = 200² / 6 each, uncorrelated.
@@ -56,23 +56,23 @@ def test_draws_are_uniform_over_their_ranges():
     np.testing.assert_array_equal(values, np.arange(33) * SUBSTEPS)
     np.testing.assert_allclose(counts / robots, 1 / 33, atol=0.006)
     np.testing.assert_array_equal(drawn.push_stop - drawn.push_start, 200)
-    for array, expected in ((drawn.terrain, np.arange(9) * 0.03), (drawn.delay, np.arange(6))):
+    for array, expected in ((drawn.ground, np.arange(9) * 0.03), (drawn.delay, np.arange(6))):
         values, counts = np.unique(array, return_counts=True)
         np.testing.assert_allclose(values, expected, atol=1e-7)
         np.testing.assert_allclose(counts / robots, 1 / len(expected), atol=0.012)
 
 
 def test_the_backward_part_of_pushes_can_be_less():
-    full = draw(ALL, jax.random.key(0), 1000, HZ).push
-    weak = draw(replace(ALL, push_backward=0.7), jax.random.key(0), 1000, HZ).push
+    full = draw_scenario(ALL, jax.random.key(0), 1000, HZ).push
+    weak = draw_scenario(replace(ALL, push_backward=0.7), jax.random.key(0), 1000, HZ).push
     np.testing.assert_allclose(weak, np.where((full < 0) & (np.arange(3) == 0), 0.7 * full, full), rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["push_n", "terrain_m", "delay_s"])
 def test_what_is_not_asked_for_does_not_act(name):
     config = replace(ScenarioConfig(), **{name: getattr(ALL, name)})
-    drawn = draw(config, jax.random.key(1), 1000, HZ)
-    acting = {"push_n": drawn.push.any(), "terrain_m": drawn.terrain.any(), "delay_s": drawn.delay.any()}
+    drawn = draw_scenario(config, jax.random.key(1), 1000, HZ)
+    acting = {"push_n": drawn.push.any(), "terrain_m": drawn.ground.any(), "delay_s": drawn.delay.any()}
     assert acting == {other: other == name for other in acting}
     assert config.active
     assert not ScenarioConfig().active
@@ -84,14 +84,15 @@ def test_a_push_over_is_followed_by_the_next_and_an_episode_over_by_all_anew():
         push_start=jnp.array([64, 96, 64, 96]),
         push_stop=jnp.array([264, 296, 264, 296]),
         delay=jnp.full(4, 7),
-        terrain=jnp.full(4, 0.5),
+        ground=jnp.full(4, 0.5),
+        kd_scale=jnp.full(4, 0.3),
     )
     ended = jnp.array([False, False, True, True])
     key, step = jax.random.key(2), jnp.array([288, 288, 288, 288])
-    fresh = draw(ALL, key, 4, HZ)
-    now = renew(ALL, key, present, step, ended, HZ)
+    fresh = draw_scenario(ALL, key, 4, HZ)
+    now = renew_scenario(ALL, key, present, step, ended, HZ)
     np.testing.assert_array_equal(now.delay, [7, 7, *fresh.delay[2:]])
-    np.testing.assert_array_equal(now.terrain, [0.5, 0.5, *fresh.terrain[2:]])
+    np.testing.assert_array_equal(now.ground, [0.5, 0.5, *fresh.ground[2:]])
     np.testing.assert_array_equal(now.push, [fresh.push[0], present.push[1], *fresh.push[2:]])
     np.testing.assert_array_equal(now.push_start, [288 + fresh.push_start[0], 96, *fresh.push_start[2:]])
     np.testing.assert_array_equal(now.push_stop, now.push_start + 200)
@@ -104,7 +105,7 @@ def test_pushes_act_when_and_as_drawn_one_after_the_other(hills, motion):
     pushes = []
     for i in range(10):
         before, state = state, env.step(state, NO_ACTION, jax.random.key(i))
-        target = sample(motion, np.asarray(before.clock.phase) + 1, np.zeros(ROBOTS, int))[0]
+        target = sample(motion, np.asarray(before.motion.time) + 1)[0]
         target = np.asarray(target, float)[:, 7:]
         assert not np.asarray(state.terminated).any()
         pushes.append(before.scenario)
@@ -120,11 +121,13 @@ def test_pushes_act_when_and_as_drawn_one_after_the_other(hills, motion):
 def test_a_step_is_the_physics_under_the_drawn_disturbance(hills, motion):
     env = make(hills, motion, replace(ALL, push_pause_s=0.0))
     state = env.reset(jax.random.key(4))
-    assert_same(state.scenario, draw(env.config.scenario, jax.random.fold_in(jax.random.key(4), 3), ROBOTS, HZ))
+    assert_same(
+        state.scenario, draw_scenario(env.config.scenario, jax.random.fold_in(jax.random.key(4), 3), ROBOTS, HZ)
+    )
     assert state.scenario.delay.any()
-    assert state.scenario.terrain.any()
+    assert state.scenario.ground.any()
     after = env.step(state, NO_ACTION, jax.random.key(5))
-    target = np.asarray(env._target(state.clock, NO_ACTION), float)
+    target = np.asarray(env._target(state.motion, NO_ACTION), float)
     moved = hills.advance(state.physics, target, state.scenario, SUBSTEPS)
     going = ~np.asarray(after.terminated)
     assert going.sum() >= ROBOTS // 2
@@ -137,8 +140,8 @@ def test_a_step_is_the_physics_under_the_drawn_disturbance(hills, motion):
 def test_robots_start_on_a_crest_and_are_judged_from_there(hills, motion):
     env = make(hills, motion, ScenarioConfig(terrain_m=0.3))
     state = env.reset(jax.random.key(10))
-    height = state.scenario.terrain
-    phase = np.asarray(state.clock.phase)
+    height = state.scenario.ground
+    phase = np.asarray(state.motion.time)
     first = np.asarray(motion.qpos)[phase]
     on_terrain = height > 0
     assert 0 < on_terrain.sum() < ROBOTS
@@ -151,7 +154,7 @@ def test_robots_start_on_a_crest_and_are_judged_from_there(hills, motion):
     walked = state.physics.qpos.copy()
     walked[:, 2] -= height * np.sin(walked[:, 0])
     walked[:, 0] -= np.where(on_terrain, np.pi / 2 - first[:, 0], 0)
-    expected = reward.total(reward.terms(reward.SCALES["weighted"], walked, sample(motion, phase + 2, 0 * phase)[0]))
+    expected = reward.total(reward.terms(reward.SCALES["weighted"], walked, sample(motion, phase + 2)[0]))
     np.testing.assert_allclose(state.reward, expected, atol=1e-5)
 
 
@@ -161,11 +164,11 @@ def test_a_reset_draws_everything_anew(hills, motion):
     for i in range(40):
         before, state = state, env.step(state, NO_ACTION, jax.random.key(i))
         ended = np.asarray(state.terminated)
-        fresh = draw(ALL, jax.random.fold_in(jax.random.key(i), 3), ROBOTS, HZ)
-        for name in ("push", "push_start", "push_stop", "delay", "terrain"):
+        fresh = draw_scenario(ALL, jax.random.fold_in(jax.random.key(i), 3), ROBOTS, HZ)
+        for name in ("push", "push_start", "push_stop", "delay", "ground"):
             now = getattr(state.scenario, name)
             assert_same(now[ended], np.asarray(getattr(fresh, name))[ended])
-        assert_same(state.scenario.terrain[~ended], before.scenario.terrain[~ended])
+        assert_same(state.scenario.ground[~ended], before.scenario.ground[~ended])
         assert_same(state.scenario.delay[~ended], before.scenario.delay[~ended])
         if ended.any():
             return
@@ -175,10 +178,10 @@ def test_a_reset_draws_everything_anew(hills, motion):
 def test_without_disturbances_keys_draw_what_they_always_drew(hills, motion):
     env = make(hills, motion, ScenarioConfig(), episode_steps=1)
     state = env.reset(jax.random.key(8))
-    np.testing.assert_array_equal(state.clock.phase, jax.random.randint(jax.random.key(8), (ROBOTS,), 0, env.samples))
+    np.testing.assert_array_equal(state.motion.time, jax.random.randint(jax.random.key(8), (ROBOTS,), 0, env.samples))
     state = env.step(state, NO_ACTION, jax.random.key(9))
     assert np.asarray(state.truncated).all()
-    np.testing.assert_array_equal(state.clock.phase, jax.random.randint(jax.random.key(9), (ROBOTS,), 0, env.samples))
+    np.testing.assert_array_equal(state.motion.time, jax.random.randint(jax.random.key(9), (ROBOTS,), 0, env.samples))
     assert_same(state.scenario, Scenario.nominal(ROBOTS))
 
 

@@ -7,15 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from seeing import FULL, observe
 
-from cassie_mjx.control import observation
-from cassie_mjx.envs import command as clock
-from cassie_mjx.envs import reward
+from cassie_mjx.control import command as motions
+from cassie_mjx.envs import command, reward
 from cassie_mjx.envs.brax_env import CassieEnv
 from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.envs.termination import Ends
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.files import load_motion
-from cassie_mjx.motion.reference import sample, stretch
+from cassie_mjx.motion.reference import mean_speed, sample, stretch
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Scenario
@@ -42,22 +43,30 @@ def env(native, motion):
     return WalkEnv(native, motion, ON_THE_REFERENCE, ROBOTS)
 
 
+def factor_of(env, command):
+    """Commanded speed over that of the motion, [B]."""
+    return np.asarray(command.forward) / float(mean_speed(env.motion))
+
+
 def test_observation_is_eighty_numbers_of_the_table():
     qpos, qvel = np.arange(35.0)[None], 100 + np.arange(32.0)[None]
-    seen = np.asarray(observation.build(qpos, qvel, -qpos, -qvel))[0]
-    assert seen.shape == (observation.SIZE,) == (80,)
+    seen = np.asarray(observe(qpos, qvel, -qpos, -qvel))[0]
+    assert seen.shape == (FULL.size,) == (80,)
     expected = [
         *(1, 2, 3, 4, 5, 6),
         *range(100, 106),
         *(7, 8, 9, 14, 20, 15, 16, 21, 22, 23, 28, 34, 29, 30),
         *(106, 107, 108, 112, 118, 113, 114, 119, 120, 121, 125, 131, 126, 127),
     ]
+    # The quaternion has the sign that is nearer to the reference's.
+    expected[2:6] = (-3, -4, -5, -6)
     np.testing.assert_array_equal(seen[:40], expected)
-    np.testing.assert_array_equal(seen[40:], -seen[:40])
+    np.testing.assert_array_equal(seen[42:46], seen[2:6])
+    np.testing.assert_array_equal(np.delete(seen[40:], range(2, 6)), -np.delete(seen[:40], range(2, 6)))
 
 
 def test_the_description_covers_the_observation():
-    slices = [line.split()[0].split(":") for line in observation.describe()]
+    slices = [line.split()[0].split(":") for line in FULL.describe()]
     covered = [i for start, stop in slices for i in range(int(start), int(stop))]
     assert covered == list(range(80))
 
@@ -83,10 +92,10 @@ def test_rewards_by_hand(standing_qpos, name, joint, spring):
 
 def test_reset_puts_robots_on_the_reference(env, motion):
     state = env.reset(jax.random.key(0))
-    phase = np.asarray(state.clock.phase)
+    phase = np.asarray(state.motion.time)
     assert len(set(phase.tolist())) > 2
     np.testing.assert_allclose(state.physics.qpos, np.asarray(motion.qpos)[phase], atol=1e-6)
-    ahead, _ = sample(motion, phase + 1, np.zeros_like(phase))
+    ahead, _ = sample(motion, phase + 1)
     np.testing.assert_allclose(state.observation[:, 40:42], np.asarray(ahead)[:, 1:3], atol=1e-6)
 
 
@@ -94,7 +103,7 @@ def test_a_step_follows_the_pd_law_to_the_next_sample(env, native, motion):
     state = env.reset(jax.random.key(1))
     action = 0.1 * np.random.default_rng(0).normal(size=(ROBOTS, 10))
     after = env.step(state, action, jax.random.key(2))
-    ahead, _ = sample(motion, np.asarray(state.clock.phase) + 1, np.zeros(ROBOTS, int))
+    ahead, _ = sample(motion, np.asarray(state.motion.time) + 1)
     target = np.asarray(ahead)[:, cassie.ACTIVE_QPOS] + action
     moved = native.advance(state.physics, np.asarray(target, float), Scenario.nominal(ROBOTS), 32)
     going = ~np.asarray(after.terminated)
@@ -108,33 +117,33 @@ def test_every_episode_has_a_speed_of_its_own(native, motion):
     env = WalkEnv(native, motion, replace(ON_THE_REFERENCE, episode_steps=2, command_s=None), 64, speeds=(0.0, 4.0))
     key = jax.random.key(4)
     state = env.reset(key)
-    speed = np.asarray(state.clock.speed)
-    assert (speed.min(), speed.max()) == (0, 4)
+    speed = factor_of(env, state.motion.command)
+    assert (speed.min(), speed.max()) == (0, pytest.approx(4, abs=1e-5))
     assert len(set(speed.tolist())) > 40
-    phase = np.asarray(state.clock.phase)
-    ahead, ahead_velocity = sample(motion, phase + 1, 0 * phase)
+    phase = np.asarray(state.motion.time)
+    ahead, ahead_velocity = sample(motion, phase + 1)
     np.testing.assert_allclose(state.physics.qvel[:, 0], speed * motion.qvel[phase, 0], atol=1e-5)
     np.testing.assert_allclose(state.observation[:, 46], speed * ahead_velocity[:, 0], atol=1e-5)
     after = env.step(state, np.zeros((64, 10)), jax.random.key(5))
     going = ~np.asarray(after.terminated)
-    np.testing.assert_array_equal(np.asarray(after.clock.speed)[going], speed[going])
+    np.testing.assert_allclose(factor_of(env, after.motion.command)[going], speed[going], atol=1e-5)
     # The reward compares x with the stretched reference's.
     position = np.exp(-np.square(after.physics.qpos[:, :3] - np.c_[speed * ahead[:, 0], ahead[:, 1:3]]).sum(axis=1))
     np.testing.assert_allclose(np.asarray(after.metrics["position"])[going], position[going], atol=1e-4)
     anew = env.step(after, np.zeros((64, 10)), jax.random.key(6))
     assert anew.truncated[going].any()
-    assert (np.asarray(anew.clock.speed) != speed)[np.asarray(anew.truncated)].mean() > 0.9
+    assert (abs(factor_of(env, anew.motion.command) - speed) > 1e-4)[np.asarray(anew.truncated)].mean() > 0.9
 
 
 def test_speeds_are_drawn_from_the_whole_range_and_its_ends():
-    speed = np.asarray(clock.draw_speed(jax.random.key(0), 10_000, (0.0, 4.0)))
+    speed = np.asarray(command.draw_factor(jax.random.key(0), 10_000, (0.0, 4.0)))
     assert (speed.min(), speed.max()) == (0, 4)
     for end in (0, 4):
         assert abs((speed == end).mean() - 0.1) < 0.01
     inside = speed[(speed > 0) & (speed < 4)]
     assert abs(inside.mean() - 2) < 0.05
     assert abs(inside.std() - 4 / np.sqrt(12)) < 0.05
-    np.testing.assert_array_equal(clock.draw_speed(jax.random.key(0), 8, (1.5, 1.5)), np.full(8, 1.5))
+    np.testing.assert_array_equal(command.draw_factor(jax.random.key(0), 8, (1.5, 1.5)), np.full(8, 1.5))
 
 
 def test_new_speeds_are_commanded_and_reached_slowly(native, motion):
@@ -144,16 +153,17 @@ def test_new_speeds_are_commanded_and_reached_slowly(native, motion):
     changes, ends, kept = 0, 0, 0
     for i in range(30):
         after = env.step(state, np.zeros((64, 10)), jax.random.key(i))
-        speed, command = np.asarray(state.clock.speed), np.asarray(after.clock.command)
-        moved = np.asarray(after.clock.speed) - speed
-        np.testing.assert_allclose(moved, np.clip(command - speed, -0.02, 0.02), atol=1e-5)
+        speed, told = factor_of(env, state.motion.command), factor_of(env, after.motion.target_command)
+        moved = factor_of(env, after.motion.command) - speed
+        np.testing.assert_allclose(moved, np.clip(told - speed, -0.02, 0.02), atol=1e-5)
         going = ~np.asarray(after.terminated | after.truncated)
         # What robots are compared with goes on from where it was, at the speed that they were told before.
-        (now, _), (then, _) = clock.reference(env.motion, state.clock), clock.reference(env.motion, after.clock)
-        gained = (clock.reference(env.motion, state.clock, ahead=1)[0] - now)[:, 0]
+        (now, _), (then, _) = (motions.reference(env.motion, each.motion) for each in (state, after))
+        gained = (motions.reference(env.motion, state.motion, ahead=1)[0] - now)[:, 0]
         np.testing.assert_allclose((then - now)[going, 0], gained[going], atol=1e-5)
-        kept += (command == np.asarray(state.clock.command))[~going].sum()
-        changes += (command != np.asarray(state.clock.command)).sum()
+        before = factor_of(env, state.motion.target_command)
+        kept += (told == before)[~going].sum()
+        changes += (told != before).sum()
         ends += (~going).sum()
         state = after
     assert 100 < changes < 300, "30 steps of 64 robots, one in ten of which tells a robot something new"
@@ -165,7 +175,7 @@ def test_robots_start_at_velocities_of_their_own(native, motion):
     env = WalkEnv(native, motion, WalkConfig(start_velocity_mps=0.5, episode_steps=1), 256)
     first = env.reset(jax.random.key(7))
     for state in (first, env.step(first, np.zeros((256, 10)), jax.random.key(8))):
-        extra = state.physics.qvel - motion.qvel[np.asarray(state.clock.phase)]
+        extra = state.physics.qvel - motion.qvel[np.asarray(state.motion.time)]
         np.testing.assert_allclose(extra[:, 2:], 0, atol=1e-6)
         size = np.linalg.norm(extra[:, :2], axis=1)
         assert 0.45 < size.max() <= 0.5
@@ -178,7 +188,7 @@ def test_robots_start_beside_the_line_as_far_as_the_task_says(native, motion):
     env = WalkEnv(native, motion, replace(ON_THE_REFERENCE, start_offset_m=1.0, episode_steps=1), 256)
     first = env.reset(jax.random.key(7))
     for state in (first, env.step(first, np.zeros((256, 10)), jax.random.key(8))):
-        reference = motion.qpos[np.asarray(state.clock.phase)]
+        reference = motion.qpos[np.asarray(state.motion.time)]
         offset = state.physics.qpos[:, 1] - reference[:, 1]
         assert offset.min() < -0.9
         assert offset.max() > 0.9
@@ -192,16 +202,16 @@ def test_one_speed_for_all_is_the_stretched_motion_from_the_same_phases(native, 
     key = jax.random.key(7)
     fast = WalkEnv(native, motion, ON_THE_REFERENCE, ROBOTS, speeds=(2.0, 2.0)).reset(key)
     stretched = WalkEnv(native, stretch(motion, 2.0), ON_THE_REFERENCE, ROBOTS).reset(key)
-    np.testing.assert_array_equal(fast.clock.phase, jax.random.randint(key, (ROBOTS,), 0, 22))
-    np.testing.assert_array_equal(stretched.clock.speed, 1.0)
-    np.testing.assert_array_equal(fast.physics.qpos, stretched.physics.qpos)
-    np.testing.assert_array_equal(fast.observation, stretched.observation)
+    np.testing.assert_array_equal(fast.motion.time, jax.random.randint(key, (ROBOTS,), 0, 22))
+    np.testing.assert_allclose(stretched.motion.command.forward, 2 * 0.5 / 0.704, rtol=2e-3)
+    np.testing.assert_allclose(fast.physics.qpos, stretched.physics.qpos, atol=1e-6)
+    np.testing.assert_allclose(fast.observation, stretched.observation, atol=1e-6)
 
 
 def test_given_no_speeds_robots_go_evenly_from_the_lowest_to_the_highest(native, motion):
     env = WalkEnv(native, motion, WalkConfig(), 5, speeds=(0.0, 4.0))
     state = env.reset_at(np.zeros(5, np.int32), Scenario.nominal(5))
-    np.testing.assert_array_equal(state.clock.speed, [0, 1, 2, 3, 4])
+    np.testing.assert_allclose(factor_of(env, state.motion.command), [0, 1, 2, 3, 4], atol=1e-6)
 
 
 def test_episodes_end_by_falls_low_rewards_and_length(native, motion):
@@ -212,7 +222,7 @@ def test_episodes_end_by_falls_low_rewards_and_length(native, motion):
         for i in range(steps):
             state = env.step(state, np.full((ROBOTS, 10), action), jax.random.key(i))
             ends.append((np.asarray(state.terminated), np.asarray(state.truncated), np.asarray(state.reward)))
-            causes = np.any([np.asarray(state.metrics[name]) for name in ENDS], axis=0)
+            causes = np.any([np.asarray(state.metrics[name]) for name in Ends._fields], axis=0)
             np.testing.assert_array_equal(causes, state.terminated)
         return [np.array(x) for x in zip(*ends, strict=True)], state
 
@@ -223,7 +233,7 @@ def test_episodes_end_by_falls_low_rewards_and_length(native, motion):
     assert late.argmax(axis=0).min() > terminated.argmax(axis=0).min(), "without the early end only a fall ends"
     (terminated, truncated, _), state = run(WalkConfig(episode_steps=3), 3)
     assert truncated[-1].sum() == ROBOTS - terminated.any(axis=0).sum()
-    assert (np.asarray(state.clock.step)[truncated[-1]] == 0).all()
+    assert (np.asarray(state.motion.step)[truncated[-1]] == 0).all()
 
 
 def test_robots_far_from_the_reference_end_their_episode_and_the_critic_is_told_how_far(native, motion):
@@ -263,7 +273,7 @@ def test_both_engines_step_the_same_task(native, motion):
         states.append(state)
     np.testing.assert_allclose(states[1].observation, states[0].observation, atol=0.05)
     np.testing.assert_allclose(states[1].reward, states[0].reward, atol=2e-3)
-    np.testing.assert_array_equal(states[1].clock.phase, states[0].clock.phase)
+    np.testing.assert_array_equal(states[1].motion.time, states[0].motion.time)
 
 
 def test_bad_configurations():
@@ -290,12 +300,12 @@ def test_brax_wrappers_drive_it(motion):
     state = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), ROBOTS))
     assert state.obs.shape == (ROBOTS, 80)
     assert env.unwrapped.dt == pytest.approx(0.032)
-    first = np.asarray(state.pipeline_state.clock.phase)
+    first = np.asarray(state.pipeline_state.motion.time)
     step = jax.jit(env.step)
     for _ in range(5):
         state = step(state, jnp.zeros((ROBOTS, 10)))
     assert state.done.all()
-    np.testing.assert_array_equal(np.asarray(state.pipeline_state.clock.phase)[:, 0], first[:, 0])
+    np.testing.assert_array_equal(np.asarray(state.pipeline_state.motion.time)[:, 0], first[:, 0])
 
 
 @pytest.mark.slow

@@ -10,11 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from seeing import FULL
 
 from cassie_mjx import export as export_command
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy_file import learner_policy, policy_path, save_policy, shipped_policies
-from cassie_mjx.control import observation
 from cassie_mjx.export import ExportConfig
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import stretch
@@ -27,7 +27,7 @@ from cassie_mjx.robot import cassie
 def seen():
     """1,000 observations on scales from 1e-4 to 10, as those of the robot are, the last 10 far outside."""
     rng = np.random.default_rng(0)
-    values = rng.normal(size=(1000, observation.SIZE)) * np.logspace(-4, 1, observation.SIZE)
+    values = rng.normal(size=(1000, FULL.size)) * np.logspace(-4, 1, FULL.size)
     values[-10:] *= 100
     return values.astype(np.float32)
 
@@ -35,7 +35,7 @@ def seen():
 @pytest.fixture(scope="module")
 def policy(seen):
     config = PPOConfig(actor_output_scale=1.0)
-    drawn = learner.init(jax.random.key(0), config, observation.SIZE, cassie.NU, 1).policy
+    drawn = learner.init(jax.random.key(0), config, FULL.size, cassie.NU, 1).policy
     biased = jax.tree.map(lambda x: x + 0.1 if x.ndim == 1 else x, drawn.actor)
     return drawn._replace(actor=biased, normalizer=normalizer.update(drawn.normalizer, jnp.asarray(seen[:-10])))
 

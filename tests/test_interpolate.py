@@ -1,31 +1,26 @@
-"""Blends of policies and references, their schedules, and the subjects that walk by them."""
-
-from functools import partial
-from typing import Any
+"""Blends of policies and references, their schedules, and the agents that walk by them."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
+from seeing import FULL, observe
 
 from cassie_mjx.agents import blending
 from cassie_mjx.agents.blend import BlendAgent
 from cassie_mjx.agents.blending import Progress
-from cassie_mjx.agents.make import make_agent
+from cassie_mjx.agents.make import make_agent, make_policy_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
-from cassie_mjx.agents.policy import PolicyAgent
+from cassie_mjx.agents.policy import PolicyCarry
 from cassie_mjx.agents.policy_file import learner_policy, save_policy
-from cassie_mjx.control import observation
+from cassie_mjx.agents.types import Sensed
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import ReferenceMotion, blend_motions, sample, stretch
-from cassie_mjx.physics.types import PhysicsState
-from cassie_mjx.ppo import learner, networks
+from cassie_mjx.ppo import learner
 from cassie_mjx.ppo.config import PPO_PRESETS
 from cassie_mjx.robot import cassie
 
 PHASES = np.array([0, 7, 21, 30])
 ROBOTS = len(PHASES)
-NO_ENGINE: Any = None
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +38,7 @@ def policy_files(motions, tmp_path_factory):
     """Three policies that act, untrained, each on its own reference."""
     folder, files = tmp_path_factory.mktemp("policies"), []
     for seed, motion in enumerate(motions):
-        state = learner.init(jax.random.key(seed), PPO_PRESETS["parallel"], observation.SIZE, cassie.NU, 1)
+        state = learner.init(jax.random.key(seed), PPO_PRESETS["parallel"], FULL.size, cassie.NU, 1)
         actor = jax.tree.map(lambda leaf: 3 * leaf, state.policy.actor)
         files.append(folder / f"{seed + 1}x.npz")
         save_policy(files[-1], state.policy._replace(actor=actor), motion, seed + 1.0, 1.0, {})
@@ -57,27 +52,35 @@ def states(walk):
     return qpos + 0.02 * noise.normal(size=qpos.shape), qvel + 0.1 * noise.normal(size=qvel.shape)
 
 
+def residuals_of(policies, motions, qpos, qvel):
+    """What each policy adds to its own reference."""
+    return [
+        policy(observe(qpos, qvel, *sample(motion, PHASES))) for policy, motion in zip(policies, motions, strict=True)
+    ]
+
+
 def linear(seed):
-    weights = 0.05 * np.random.default_rng(seed).normal(size=(observation.SIZE, cassie.NU)).astype(np.float32)
+    weights = 0.05 * np.random.default_rng(seed).normal(size=(FULL.size, cassie.NU)).astype(np.float32)
     return lambda seen: np.asarray(seen) @ weights
 
 
 def single(policy, motion, phase, qpos, qvel):
     """PD targets of one policy on its own reference."""
     ahead, ahead_velocity = sample(motion, phase)
-    return ahead[:, cassie.ACTIVE_QPOS] + policy(observation.build(qpos, qvel, ahead, ahead_velocity))
+    return ahead[:, cassie.ACTIVE_QPOS] + policy(observe(qpos, qvel, ahead, ahead_velocity))
 
 
 @pytest.mark.parametrize("position", [0, 1, 2])
 def test_a_whole_position_is_one_policy_exactly(motions, states, position):
     policies = [linear(seed) for seed in range(3)]
-    ours = blending.pd_target(policies, motions, np.full(ROBOTS, float(position)), PHASES, *states)
+    residuals = residuals_of(policies, motions, *states)
+    ours = blending.pd_target(residuals, motions, np.full(ROBOTS, float(position)), PHASES)
     np.testing.assert_array_equal(ours, single(policies[position], motions[position], PHASES, *states))
 
 
 def test_between_two_policies_lambda_weighs_them(motions, states):
     policies, position = [linear(seed) for seed in range(3)], np.array([0.0, 0.25, 1.25, 1.9])
-    ours = blending.pd_target(policies, motions, position, PHASES, *states)
+    ours = blending.pd_target(residuals_of(policies, motions, *states), motions, position, PHASES)
     alone = [single(policy, motion, PHASES, *states) for policy, motion in zip(policies, motions, strict=True)]
     # The references differ in x alone, so the targets blend as the actions do.
     expected = [
@@ -89,16 +92,18 @@ def test_between_two_policies_lambda_weighs_them(motions, states):
     np.testing.assert_allclose(ours, expected, atol=1e-6)
 
 
-def test_numpy_and_jax_blend_alike(policy_files, motions, states):
+def test_a_blend_of_agents_is_that_of_their_numpy_policies(policy_files, motions, states):
     saved = [NumpyPolicy.load(path) for path in policy_files]
     position = np.array([0.0, 0.3, 1.0, 1.7])
-    ours = blending.pd_target(saved, motions, position, PHASES, *states)
+    ours = blending.pd_target(residuals_of(saved, motions, *states), motions, position, PHASES)
     assert isinstance(ours, np.ndarray)
-
-    modes = [partial(networks.mode, learner_policy(policy)) for policy in saved]
-    in_jax = [jax.tree.map(partial(jnp.asarray, dtype=jnp.float32), motion) for motion in motions]
-    blend = jax.jit(partial(blending.pd_target, modes, in_jax))
-    theirs = blend(jnp.asarray(position, jnp.float32), PHASES, *map(jnp.float32, states))
+    agents = [make_policy_agent(str(path)) for path in policy_files]
+    carries = [agent.init(Sensed(*states), PHASES - 1) for agent in agents]
+    targets = [agent.step(carry, Sensed(*states), None)[0] for agent, carry in zip(agents, carries, strict=True)]
+    before = position.astype(int).clip(0, 1)
+    share, targets = (position - before)[:, None], np.array(targets)
+    robots = np.arange(ROBOTS)
+    theirs = (1 - share) * targets[before, robots] + share * targets[before + 1, robots]
     assert np.abs(ours - single(saved[0], motions[0], PHASES, *states)).max() > 0.05, "the policies differ"
     np.testing.assert_allclose(ours, theirs, atol=1e-4)
 
@@ -154,24 +159,31 @@ def test_the_filter_settles_exponentially():
     np.testing.assert_allclose(speed, 1.5 - 0.8 / np.e)
 
 
-def seen(states):
-    qpos, qvel = states
-    return PhysicsState(qpos, qvel, qvel, np.zeros(ROBOTS, np.int32), np.zeros((ROBOTS, 0, 67)))
+NO_HISTORY = np.zeros((ROBOTS, 0, FULL.size), np.float32)
+
+
+def progress(phase, step, speed):
+    steps, speeds = np.full(ROBOTS, step, np.int32), np.full(ROBOTS, speed, np.float32)
+    return Progress(phase, steps, speeds, (NO_HISTORY, NO_HISTORY))
+
+
+def alone(path, phase, states):
+    target, _ = make_agent(str(path)).step(PolicyCarry(phase, NO_HISTORY), Sensed(*states), None)
+    return target
 
 
 def test_a_blend_walks_as_its_policies_at_the_ends_of_the_ramp(policy_files, states):
     blend = make_agent(f"blend:{policy_files[0]},{policy_files[1]}", schedule="ramp")
     phase = np.array([0, 7, 21, 3], np.int32)
     for step, path in ((0, policy_files[0]), (50, policy_files[1])):
-        memory = Progress(phase, np.full(ROBOTS, step, np.int32), np.full(ROBOTS, 0.7, np.float32))
-        ours, after = blend.act(NO_ENGINE, seen(states), memory)
-        theirs, _ = make_agent(str(path)).act(NO_ENGINE, seen(states), phase)
-        np.testing.assert_allclose(ours, theirs, atol=1e-5)
+        carry = progress(phase, step, 0.7)
+        ours, after = blend.step(carry, Sensed(*states), None)
+        np.testing.assert_allclose(ours, alone(path, phase, states), atol=1e-5)
         np.testing.assert_array_equal(after.phase, [1, 8, 0, 4])
         np.testing.assert_array_equal(after.step, step + 1)
-        compiled, _ = jax.jit(partial(blend.act, NO_ENGINE))(seen(states), memory)
+        compiled, _ = jax.jit(lambda carry, sensed: blend.step(carry, sensed, None))(carry, Sensed(*states))
         np.testing.assert_allclose(compiled, ours, atol=1e-5)
-        np.testing.assert_allclose(after.speed, blending.filtered(memory.speed, states[1][:, 0]), rtol=1e-5)
+        np.testing.assert_allclose(after.speed, blending.filtered(carry.speed, states[1][:, 0]), rtol=1e-5)
 
 
 def test_an_adaptive_blend_takes_a_faster_policy_for_slower_robots(policy_files, states):
@@ -180,15 +192,14 @@ def test_an_adaptive_blend_takes_a_faster_policy_for_slower_robots(policy_files,
     phase = np.zeros(ROBOTS, np.int32)
     for speed, path in ((2.0, policy_files[0]), (-0.9, policy_files[1])):
         qvel[:, 0] = speed
-        ours, _ = blend.act(NO_ENGINE, seen((qpos, qvel)), Progress(phase, phase, np.full(ROBOTS, speed, np.float32)))
-        theirs, _ = make_agent(str(path)).act(NO_ENGINE, seen((qpos, qvel)), phase)
-        np.testing.assert_allclose(ours, theirs, atol=1e-5)
+        ours, _ = blend.step(progress(phase, 0, speed), Sensed(qpos, qvel), None)
+        np.testing.assert_allclose(ours, alone(path, phase, (qpos, qvel)), atol=1e-5)
 
 
 def test_a_policy_is_told_another_speed(policy_files):
-    subject = make_agent(str(policy_files[1]), speed="3x")
-    assert subject.motion.stride_length == pytest.approx(1.5, rel=1e-3)
-    assert subject.name.endswith("2x.npz speed=3x")
+    agent = make_policy_agent(str(policy_files[1]), speed="3x")
+    assert agent.motion.stride_length == pytest.approx(1.5, rel=1e-3)
+    assert agent.name.endswith("2x.npz speed=3x")
 
 
 def test_bad_blends_get_one_sentence(policy_files, motions, tmp_path):
@@ -215,7 +226,7 @@ def test_bad_blends_get_one_sentence(policy_files, motions, tmp_path):
     with pytest.raises(ValueError, match="speed=5x is not a speed"):
         make_agent(first, speed="5x")
 
-    policies = [PolicyAgent(path, NumpyPolicy.load(path)) for path in (first, second)]
+    policies = [make_policy_agent(path) for path in (first, second)]
     policies[1].motion = ReferenceMotion(motions[1].qpos[:20], motions[1].qvel[:20], motions[1].stride_length)
     with pytest.raises(ValueError, match="References of 22, 20 samples cannot be blended"):
         BlendAgent(policies, "ramp")
@@ -224,6 +235,6 @@ def test_bad_blends_get_one_sentence(policy_files, motions, tmp_path):
 def test_a_reference_without_speed_cannot_be_given_one(policy_files, walk, tmp_path):
     saved = NumpyPolicy.load(policy_files[0])
     save_policy(tmp_path / "0x.npz", learner_policy(saved), stretch(walk, 0), 0.0, 1.0, {})
-    assert make_agent(str(tmp_path / "0x.npz"), speed="0x").motion.stride_length == 0
+    assert make_policy_agent(str(tmp_path / "0x.npz"), speed="0x").motion.stride_length == 0
     with pytest.raises(ValueError, match="a reference at 0x has no speed to be stretched"):
         make_agent(str(tmp_path / "0x.npz"), speed="1x")

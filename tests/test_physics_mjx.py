@@ -25,13 +25,13 @@ DAMPING = 0.5
 
 @pytest.fixture(scope="module")
 def physics():
-    return MjxPhysics(load_mjx_model(MJX_TRAINING), max_delay=8, kd_scale=DAMPING)
+    return MjxPhysics(load_mjx_model(MJX_TRAINING), max_delay=8)
 
 
 @pytest.fixture(scope="module")
 def referee():
     """MuJoCo C at the same rate and with the same contacts, converged."""
-    return NativePhysics(load_model(replace(CONVERGED, iterations=100)), max_delay=8, kd_scale=DAMPING)
+    return NativePhysics(load_model(replace(CONVERGED, iterations=100)), max_delay=8)
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +116,7 @@ def test_terrain_agrees_with_the_height_field(physics, standing_qpos):
     qpos[:, 2] += heights * np.sin(qpos[:, 0]) + 0.02 * heights / 0.3
     qvel = np.zeros((BATCH, cassie.NV))
     targets = np.tile(cassie.STANDING_TARGET, (BATCH, 1))
-    scenario = replace(Scenario.nominal(BATCH), terrain=heights)
+    scenario = replace(Scenario.nominal(BATCH), ground=heights)
     hills = NativePhysics(load_model(replace(CONVERGED, scene="terrain", iterations=100)))
     c = hills.advance(hills.init(qpos, qvel), targets, scenario, 192)
     x = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))

@@ -70,12 +70,13 @@ def test_pieces_equal_the_whole_and_inputs_are_kept(model, standing_qpos):
 
 @pytest.mark.parametrize("kd_scale", [1.0, 0.3])
 def test_both_paths_give_the_same_trajectory(model, standing_qpos, kd_scale):
-    held, stepwise = NativePhysics(model, kd_scale=kd_scale), NativePhysics(model, max_delay=3, kd_scale=kd_scale)
+    held, stepwise = NativePhysics(model), NativePhysics(model, max_delay=3)
     a, targets = start(held, standing_qpos, 5)
     b, _ = start(stepwise, standing_qpos, 5)
     scenario = replace(
         Scenario.nominal(5), push=np.full((5, 3), 80.0), push_start=steps(0, 3, 10, 64, 70), push_stop=steps(*[90] * 5)
     )
+    scenario = replace(scenario, kd_scale=np.full(5, kd_scale))
     for _ in range(4):
         a = held.advance(a, targets, scenario, 32)
         b = stepwise.advance(b, targets, scenario, 32)
@@ -148,7 +149,7 @@ def test_each_robot_has_its_own_terrain(standing_qpos):
     qpos[:, 2] += heights
     state = physics.init(qpos, np.zeros((3, cassie.NV)))
     targets = np.tile(cassie.STANDING_TARGET, (3, 1))
-    scenario = replace(Scenario.nominal(3), terrain=heights)
+    scenario = replace(Scenario.nominal(3), ground=heights)
     moved = physics.advance(state, targets, scenario, 400)
     np.testing.assert_allclose(moved.qpos[:, 2], qpos[:, 2], atol=0.01)
     for i, height in enumerate(heights):
@@ -205,6 +206,6 @@ def test_bad_input_gets_one_sentence(model, standing_qpos):
         physics.advance(state, targets, late, 1)
     with pytest.raises(ValueError, match="delay of -2 physics steps looks into the future"):
         physics.advance(state, targets, replace(late, delay=steps(0, -2)), 1)
-    hilly = replace(Scenario.nominal(2), terrain=np.array([0.0, 0.1]))
+    hilly = replace(Scenario.nominal(2), ground=np.array([0.0, 0.1]))
     with pytest.raises(ValueError, match="terrain of 0.1 m was asked of a flat scene"):
         physics.advance(state, targets, hilly, 1)

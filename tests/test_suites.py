@@ -13,6 +13,7 @@ from cassie_mjx.evaluation import trial as trials
 from cassie_mjx.evaluation.scheduler import run_trials
 from cassie_mjx.evaluation.suites import EvalSetup
 from cassie_mjx.evaluation.trial import Metric, Trial
+from cassie_mjx.physics.make import ENGINES
 
 
 class Settled(EvalSetup):

@@ -8,24 +8,27 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from seeing import FULL, canonical, in_both_steps, observe
 from tiny import TINY, session
 
 from cassie_mjx.agents.make import make_agent
 from cassie_mjx.agents.numpy_policy import Mirror, NumpyPolicy
 from cassie_mjx.agents.policy_file import learner_policy, save_policy
-from cassie_mjx.control import observation
+from cassie_mjx.control import command as motions
+from cassie_mjx.control.law import ControlLaw, second_step
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.walk import WalkEnv
+from cassie_mjx.evaluation.returns import agent_returns
 from cassie_mjx.evaluation.suites import EvalSetup
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import stretch
-from cassie_mjx.physics.mjx import MjxPhysics
+from cassie_mjx.physics.make import make_physics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Scenario
 from cassie_mjx.ppo import learner, networks
 from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.robot import cassie
-from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_mjx_model, load_model
+from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_model
 
 
 @pytest.fixture(scope="module")
@@ -41,28 +44,28 @@ def states():
 
 @pytest.fixture(scope="module")
 def policy():
-    return learner.init(jax.random.key(0), PPOConfig(actor_output_scale=1.0), observation.SIZE, cassie.NU, 1).policy
+    return learner.init(jax.random.key(0), PPOConfig(actor_output_scale=1.0), FULL.size, cassie.NU, 1).policy
 
 
 @pytest.fixture
 def path(policy, motion, tmp_path):
-    save_policy(tmp_path / "policy.npz", policy, motion, 1.0, 1.0, {}, symmetric=True)
+    save_policy(tmp_path / "policy.npz", policy, motion, 1.0, 1.0, {}, law=ControlLaw(symmetric=True))
     return tmp_path / "policy.npz"
 
 
 def test_a_mirror_image_is_seen_as_the_reflection(states):
     (qpos, ahead), (qvel, ahead_velocity) = states
-    seen = observation.build(qpos, qvel, ahead, ahead_velocity)
+    seen = observe(qpos, qvel, ahead, ahead_velocity)
     images = [cassie.mirror_qpos(qpos), cassie.mirror_qvel(qvel)]
     images += [cassie.mirror_qpos(ahead), cassie.mirror_qvel(ahead_velocity)]
-    np.testing.assert_array_equal(observation.mirror(seen), observation.build(*images))
-    np.testing.assert_array_equal(observation.mirror(observation.mirror(seen)), seen)
+    np.testing.assert_array_equal(FULL.mirrored(seen), observe(*images))
+    np.testing.assert_array_equal(FULL.mirrored(FULL.mirrored(seen)), seen)
 
 
 @pytest.mark.parametrize("speed", [0.0, 1.0, 4.0])
 def test_each_step_is_half_of_the_stride_at_any_speed(motion, speed):
-    hip_pitch = stretch(motion, speed).qpos[:, observation.HIP_PITCH]
-    second = observation.second_step(hip_pitch)[:, 0]
+    qpos = stretch(motion, speed).qpos
+    hip_pitch, second = qpos[:, cassie.HIP_PITCH_QPOS], second_step(qpos)[:, 0]
     half = len(second) // 2
     np.testing.assert_array_equal(second[:half], ~second[half:])
     assert np.count_nonzero(second != np.roll(second, 1)) == 2
@@ -71,12 +74,14 @@ def test_each_step_is_half_of_the_stride_at_any_speed(motion, speed):
 
 def test_images_act_as_images(policy, path, states):
     (qpos, ahead), (qvel, ahead_velocity) = states
-    seen: Any = np.asarray(observation.build(qpos, qvel, ahead, ahead_velocity))
-    second = np.asarray(observation.second_step(seen[:, observation.REFERENCE_HIP_PITCH]))
+    seen: Any = np.asarray(observe(qpos, qvel, ahead, ahead_velocity))
+    second = np.asarray(second_step(ahead))
     assert 10 < second.sum() < 40
     mode = partial(networks.mode, policy)
-    for act in (observation.symmetric(mode), NumpyPolicy.load(path)):
-        action, image = np.asarray(act(seen)), np.asarray(act(observation.mirror(seen)))
+    images = cassie.mirror_qpos(ahead)
+    saved = NumpyPolicy.load(path)
+    for act, mirrored_act in ((in_both_steps(mode, ahead), in_both_steps(mode, images)), (saved, saved)):
+        action, image = act(seen), mirrored_act(FULL.mirrored(seen))
         np.testing.assert_allclose(image, cassie.mirror_active(action), atol=1e-5)
         np.testing.assert_allclose(action[~second[:, 0]], mode(seen)[~second[:, 0]], atol=1e-5)
         assert np.abs(action - mode(seen))[second[:, 0]].max() > 0.1
@@ -85,32 +90,41 @@ def test_images_act_as_images(policy, path, states):
 
 def states_of(env, act, delay):
     """Of every control step the state after it, up to the second episode of those that last 5 steps."""
-    scenario = replace(Scenario.nominal(22), delay=np.full(22, delay, np.int32))
-    state = env.reset_at(np.arange(22), scenario)
+    state = env.reset_at(np.arange(22), Scenario.nominal(22, delay=np.int32(delay)))
     for number in range(7):
-        state = env.step(state, np.asarray(act(state.observation)), jax.random.key(number))
-        yield state
+        ahead = motions.reference(env.motion, state.motion, ahead=1)[0]
+        state = env.step(state, np.asarray(act(state.observation, ahead)), jax.random.key(number))
+        yield state, np.asarray(motions.reference(env.motion, state.motion, ahead=1)[0])
 
 
 @pytest.mark.parametrize(("engine", "speeds"), [("native", (1.0, 1.0)), ("native", (0.0, 4.0)), ("mjx", (1.0, 1.0))])
 def test_a_policy_does_in_both_steps_what_it_learned_in_one(motion, policy, engine, speeds):
-    if engine == "native":
-        physics, delay = NativePhysics(load_model(ModelConfig(physics_hz=500)), max_delay=3), 3
-    else:
-        physics, delay = MjxPhysics(load_mjx_model(replace(MJX_TRAINING, physics_hz=500))), 0
+    delay = 3 if engine == "native" else 0
+    physics = make_physics(engine, replace(MJX_TRAINING, physics_hz=500), max_delay=delay)
     task, mode = WalkConfig(episode_steps=5), jax.jit(partial(networks.mode, policy))
     trained = WalkEnv(physics, motion, replace(task, symmetric=True), 22, speeds)
     deployed = WalkEnv(physics, motion, task, 22, speeds)
-    both = jax.jit(observation.symmetric(partial(networks.mode, policy)))
     ended = 0
-    for ours, theirs in zip(states_of(trained, mode, delay), states_of(deployed, both, delay), strict=True):
+    for (ours, ahead), (theirs, _) in zip(
+        states_of(trained, lambda seen, _: mode(seen), delay),
+        states_of(deployed, lambda seen, ahead: in_both_steps(mode, ahead)(seen), delay),
+        strict=True,
+    ):
         np.testing.assert_allclose(ours.physics.qpos, theirs.physics.qpos, atol=1e-6)
         np.testing.assert_allclose(ours.reward, theirs.reward, atol=1e-6)
-        np.testing.assert_allclose(ours.observation, observation.folded(theirs.observation), atol=1e-5)
-        np.testing.assert_allclose(ours.final_observation, observation.folded(theirs.final_observation), atol=1e-5)
+        np.testing.assert_allclose(ours.observation, canonical(theirs.observation, ahead), atol=1e-5)
         assert not np.allclose(ours.observation, theirs.observation, atol=0.1)
         ended += int(np.sum(ours.truncated))
     assert ended
+
+
+def test_a_reference_whose_steps_are_no_mirror_images_is_refused(motion):
+    qpos = motion.qpos.copy()
+    qpos[3, cassie.qpos_index("left-knee")] += 0.05
+    physics = make_physics("native", ModelConfig(physics_hz=500))
+    with pytest.raises(ValueError, match="second step mirrors its first, and this one's does not; set walk.symmetric"):
+        WalkEnv(physics, motion._replace(qpos=qpos), WalkConfig(symmetric=True), 2)
+    WalkEnv(physics, motion._replace(qpos=qpos), WalkConfig(), 2)
 
 
 @pytest.mark.parametrize("symmetric", [True, False])
@@ -133,10 +147,10 @@ def test_robots_half_a_stride_apart_live_the_same_step(motion, symmetric):
 def test_a_run_measures_what_its_policy_file_has(tmp_path):
     session(tmp_path, walk=WalkConfig(symmetric=True)).train()
     last = json.loads((tmp_path / "metrics.jsonl").read_text().splitlines()[-1])
-    subject = make_agent(str(tmp_path))
-    figures = {figure.quantity: figure.value for figure in subject.returns(EvalSetup().physics(subject))}
+    agent = make_agent(str(tmp_path))
+    metrics = {metric.quantity: metric.value for metric in agent_returns(agent, EvalSetup().physics())}
     assert NumpyPolicy.load(tmp_path / "best.npz").mirror
-    assert figures["return_plain"] == pytest.approx(last["eval/return_plain"], rel=1e-5)
+    assert metrics["return_plain"] == pytest.approx(last["eval/return_plain"], rel=1e-5)
 
 
 def test_training_goes_on_from_any_policy_that_fits(path, tmp_path):
@@ -178,6 +192,6 @@ def test_a_mirror_that_does_not_fit_is_refused(path, change, sentence):
 def test_another_mirror_is_refused(path):
     saved = NumpyPolicy.load(path)
     assert learner_policy(saved)
-    other = Mirror(observation.MIRROR, np.arange(1, 11), 1 + observation.REFERENCE_HIP_PITCH)
+    other = Mirror(*saved.mirror)._replace(action=np.arange(1, 11)) if saved.mirror else None
     with pytest.raises(ValueError, match="mirror is not this version's"):
         learner_policy(replace(saved, mirror=other))
