@@ -53,7 +53,7 @@ def files(directory):
 def test_a_run_comes_back_bit_for_bit(tmp_path):
     saved = checkpoint.save(tmp_path, 7, state(7), MOTION, {"counters": {"train_s": 0.1 + 0.2}})
     restored = checkpoint.restore(saved)
-    assert_same(checkpoint.fill(state(0), restored.arrays), state(7))
+    assert_same(checkpoint.restore_into(state(0), restored.arrays), state(7))
     assert restored.record == {"counters": {"train_s": 0.1 + 0.2}}
     for ours, theirs in zip(jax.tree.leaves(restored.motion), jax.tree.leaves(MOTION), strict=True):
         assert np.array_equal(ours, theirs)
@@ -62,7 +62,7 @@ def test_a_run_comes_back_bit_for_bit(tmp_path):
 def test_another_precision_restores(tmp_path):
     saved = checkpoint.save(tmp_path, 1, {"x": np.arange(3.0) + 0.1, "y": jnp.ones(2)}, MOTION, {})
     arrays = checkpoint.restore(saved).arrays
-    filled = checkpoint.fill({"x": jnp.zeros(3, jnp.float32), "y": np.zeros(2)}, arrays)
+    filled = checkpoint.restore_into({"x": jnp.zeros(3, jnp.float32), "y": np.zeros(2)}, arrays)
     assert filled["x"].dtype == jnp.float32
     assert filled["y"].dtype == np.float64
     assert np.array_equal(filled["x"], np.array([0.1, 1.1, 2.1], np.float32))
@@ -80,16 +80,16 @@ checkpoint.save(pathlib.Path({str(tmp_path)!r}), 1, {{"x": jnp.arange(3.0) + 0.1
     subprocess.run([sys.executable, "-c", program], check=True)
     arrays = checkpoint.restore(last(tmp_path)).arrays
     assert np.array_equal(next(iter(arrays.values())), np.arange(3.0) + 0.1)
-    filled = checkpoint.fill({"x": jnp.zeros(3)}, arrays)
+    filled = checkpoint.restore_into({"x": jnp.zeros(3)}, arrays)
     assert np.array_equal(filled["x"], np.array([0.1, 1.1, 2.1], np.float32))
 
 
 def test_a_state_of_another_shape_is_refused(tmp_path):
     arrays = checkpoint.restore(checkpoint.save(tmp_path, 1, {"x": np.zeros(3)}, MOTION, {})).arrays
     with pytest.raises(ValueError, match=r"\['x'\] has shape \(3,\), not of shape \(4,\)"):
-        checkpoint.fill({"x": np.zeros(4)}, arrays)
+        checkpoint.restore_into({"x": np.zeros(4)}, arrays)
     with pytest.raises(ValueError, match=r"\['y'\] is missing"):
-        checkpoint.fill({"y": np.zeros(3)}, arrays)
+        checkpoint.restore_into({"y": np.zeros(3)}, arrays)
 
 
 def test_two_checkpoints_are_kept_and_remains_removed(tmp_path):
@@ -163,7 +163,7 @@ def test_a_full_disk_leaves_the_last_checkpoint_intact(tmp_path, monkeypatch, pl
         with pytest.raises(OSError, match="No space left on device"):
             checkpoint.save(tmp_path, 2, state(2), MOTION, {})
     assert [path.name for path in tmp_path.iterdir()] == ["step_000001"]
-    assert_same(checkpoint.fill(state(0), checkpoint.restore(last(tmp_path)).arrays), state(1))
+    assert_same(checkpoint.restore_into(state(0), checkpoint.restore(last(tmp_path)).arrays), state(1))
 
 
 def save_for_ever(directory, saved):
@@ -190,7 +190,7 @@ def kill_while_saving(directory, times):
         interrupted += any(path.name.endswith(".partial") for path in directory.iterdir())
         restored = checkpoint.restore(last(directory))
         number = restored.record["number"]
-        assert_same(checkpoint.fill(state(0), restored.arrays), state(number))
+        assert_same(checkpoint.restore_into(state(0), restored.arrays), state(number))
         assert number > reached
         reached = number
     assert interrupted, "no kill fell into a save"

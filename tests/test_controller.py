@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from cassie_mjx.agents.heuristic import HeuristicAgent
+from cassie_mjx.agents.types import sense
 from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.envs.termination import fallen
 from cassie_mjx.evaluation.scheduler import run_trials
-from cassie_mjx.evaluation.steady import begin, walked
+from cassie_mjx.evaluation.steady import begin, steady, walk_on
 from cassie_mjx.evaluation.suites import DIRECTIONS, LIMIT_PHASES, WALK_S
 from cassie_mjx.evaluation.trial import AFTER_PUSH_S, Trial
 from cassie_mjx.heuristic import law
@@ -21,11 +22,19 @@ from cassie_mjx.heuristic.kinematics import inverse_kinematics, level_foot
 from cassie_mjx.heuristic.law import ControllerState
 from cassie_mjx.heuristic.pendulum import Masses
 from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.loops import close_loops
 from cassie_mjx.robot.model import ModelConfig, load_model
 
+
+def standing_still(name, physics):
+    agent = HeuristicAgent(name)
+    return begin(agent, physics, *agent.initial_state(1))
+
+
 jitted_step = jax.jit(law.step)
+MASSES = Masses.of(load_model(ModelConfig()))
 STRIDE_S = 0.704
 
 
@@ -37,7 +46,7 @@ def physics(model):
 def nudged(subject, physics, qpos, robots):
     """Standing robots with a small push to every speed, about to walk."""
     qvel = np.random.default_rng(1).normal(0, 0.02, (robots, cassie.NV))
-    return subject.begin(physics, np.tile(qpos, (robots, 1)), qvel)
+    return begin(subject, physics, np.tile(qpos, (robots, 1)), qvel)
 
 
 @pytest.mark.parametrize("side", [0, 1])
@@ -82,12 +91,11 @@ def test_legs_switch_after_exactly_eleven_samples_of_32_ms(physics):
     config = replace(STIFF, haste=(0.0, 0.0))
     agent = HeuristicAgent("stiff")
     state, (_, control) = begin(agent, physics, *agent.initial_state(1))
-    masses = Masses.of(physics.model)
     bodies = jax.tree.map(jnp.asarray, physics.bodies(state))
     qpos, qvel = jnp.asarray(state.qpos), jnp.asarray(state.qvel)
 
     def tick(control, _):
-        target, control = law.step(config, masses, control, qpos, qvel, bodies, 0.001)
+        target, control = law.step(config, MASSES, control, qpos, qvel, bodies, 0.001)
         return control, (target, control.stance[0])
 
     _, (targets, stance) = jax.jit(lambda c: jax.lax.scan(tick, c, length=60000))(control)
@@ -98,14 +106,14 @@ def test_legs_switch_after_exactly_eleven_samples_of_32_ms(physics):
 
 
 def test_the_clock_hurries_when_the_velocity_is_far_off(physics):
-    state, (config, control) = HeuristicAgent("stiff").stand(physics, 1)
+    state, (config, control) = standing_still("stiff", physics)
     control = replace(control, phase=np.array([0.2], np.float32))
 
     def ticked(forward, left):
         qvel = np.zeros((1, cassie.NV))
         qvel[:, :2] = forward, left
         moving = physics.init(state.qpos, qvel)
-        _, after = jitted_step(config, control, moving.qpos, moving.qvel, physics.bodies(moving), 0.001)
+        _, after = jitted_step(config, MASSES, control, moving.qpos, moving.qvel, physics.bodies(moving), 0.001)
         return float(after.phase[0] - 0.2) / 0.001
 
     assert ticked(STIFF.speed, 0.0) == pytest.approx(1, abs=1e-3)
@@ -117,14 +125,14 @@ def test_the_clock_hurries_when_the_velocity_is_far_off(physics):
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_mirrored_robot_gets_mirrored_targets(physics, standing_qpos, name):
     subject = HeuristicAgent(name)
-    walk = walked(subject, physics, nudged(subject, physics, standing_qpos, 2))
+    walk = walk_on(subject, physics, nudged(subject, physics, standing_qpos, 2))
     state, (config, control) = next(islice(walk, round(0.3 / subject.period_s), None))
     mirrored = physics.init(cassie.mirror_qpos(state.qpos), cassie.mirror_qvel(state.qvel))
     flip = np.array([1, -1, 1])
     line_w = control.line_w * np.array([1, -1, -1])
     other = ControllerState(control.phase, 1 - control.stance, control.liftoff_w * flip, line_w)
-    target, _ = jitted_step(config, control, state.qpos, state.qvel, physics.bodies(state), 0.001)
-    image, _ = jitted_step(config, other, mirrored.qpos, mirrored.qvel, physics.bodies(mirrored), 0.001)
+    target, _ = jitted_step(config, MASSES, control, state.qpos, state.qvel, physics.bodies(state), 0.001)
+    image, _ = jitted_step(config, MASSES, other, mirrored.qpos, mirrored.qvel, physics.bodies(mirrored), 0.001)
     # The published pelvis is not quite symmetric: its centre of mass is 0.3 mm off the plane.
     np.testing.assert_allclose(cassie.mirror_active(np.array(target)), image, atol=0.02)
 
@@ -133,9 +141,9 @@ def test_parameters_of_each_robots_own(physics, standing_qpos):
     both = jax.tree.map(lambda a, b: np.array([a, b], np.float32), STIFF, COMPLIANT)
     subject = HeuristicAgent("stiff", both)
     state, memory = nudged(subject, physics, standing_qpos, 2)
-    own, _ = subject.act(physics, state, memory)
+    own, _ = subject.step(memory, sense(subject, physics, state, Scenario.nominal(len(state.qpos))), None)
     arguments = (memory.state, state.qpos, state.qvel, physics.bodies(state), STIFF.period)
-    expected = [np.array(jitted_step(config, *arguments)[0])[i] for i, config in enumerate((STIFF, COMPLIANT))]
+    expected = [np.array(jitted_step(config, MASSES, *arguments)[0])[i] for i, config in enumerate((STIFF, COMPLIANT))]
     np.testing.assert_allclose(own, expected, rtol=1e-4, atol=1e-4)
     assert np.abs(expected[0] - expected[1]).max() > 0.01
 
@@ -143,14 +151,14 @@ def test_parameters_of_each_robots_own(physics, standing_qpos):
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_walks_from_standing_at_the_reference_pace(physics, standing_qpos, name):
     subject = HeuristicAgent(name)
-    walk = walked(subject, physics, nudged(subject, physics, standing_qpos, 2))
-    strides = list(islice(walk, 0, 10 * subject.stride_calls + 1, subject.stride_calls))
+    walk = walk_on(subject, physics, nudged(subject, physics, standing_qpos, 2))
+    strides = list(islice(walk, 0, 10 * subject.stride_acts + 1, subject.stride_acts))
     qpos = np.array([walker.physics.qpos for walker in strides])
     assert not fallen(qpos, np.zeros(2)).any()
     # A walk undisturbed keeps to the clock: half a step into the right leg's, as at the start.
     for walker in strides:
-        np.testing.assert_array_equal(walker.memory.state.stance, 1)
-        np.testing.assert_allclose(walker.memory.state.phase, 0.176, atol=1e-4)
+        np.testing.assert_array_equal(walker.carry.state.stance, 1)
+        np.testing.assert_allclose(walker.carry.state.phase, 0.176, atol=1e-4)
     np.testing.assert_allclose((qpos[-1, :, 0] - qpos[-2, :, 0]) / STRIDE_S, 0.7, atol=0.1)
     np.testing.assert_allclose(qpos[-1, :, 1], 0, atol=0.1)
 
@@ -183,7 +191,7 @@ def test_survives_the_pushes_required(physics, name):
     subject, seconds = HeuristicAgent(name), PUSH_S + AFTER_PUSH_S
     pushes = [(force * x, force * y) for force, (x, y) in zip(REQUIRED[name][0], DIRECTIONS.values(), strict=True)]
     trials = [Trial(k, seconds, push=push) for k in range(len(LIMIT_PHASES)) for push in pushes]
-    assert not run_trials(subject, physics, subject.start(physics, LIMIT_PHASES), trials).fell.any()
+    assert not run_trials(subject, physics, steady(subject, physics, LIMIT_PHASES), trials).fell.any()
 
 
 @pytest.mark.slow
@@ -191,4 +199,4 @@ def test_survives_the_pushes_required(physics, name):
 def test_walks_blind_over_the_terrain_required(physics, name):
     subject, terrain = HeuristicAgent(name), NativePhysics(load_model(ModelConfig(scene="terrain")))
     trials = [Trial(k, WALK_S, terrain=REQUIRED[name][1]) for k in range(len(LIMIT_PHASES))]
-    assert not run_trials(subject, terrain, subject.start(physics, LIMIT_PHASES), trials).fell.any()
+    assert not run_trials(subject, terrain, steady(subject, physics, LIMIT_PHASES), trials).fell.any()

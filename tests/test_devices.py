@@ -182,7 +182,7 @@ def with_two_processes_everything_is_shared(folder):
         checkpoint.save(saved, 1, gathered, load_motion("walk"), {})
     devices.exchange(0)
     arrays = checkpoint.restore(saved / "step_000001").arrays
-    restored = checkpoint.fill(jax.device_put(jax.tree.map(np.zeros_like, whole), places), arrays)
+    restored = checkpoint.restore_into(jax.device_put(jax.tree.map(np.zeros_like, whole), places), arrays)
     assert restored["robots"].sharding == placed["robots"].sharding
     jax.tree.map(np.testing.assert_array_equal, devices.gather(restored), whole)
 

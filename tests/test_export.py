@@ -14,7 +14,8 @@ from seeing import FULL
 
 from cassie_mjx import export as export_command
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
-from cassie_mjx.agents.policy_file import learner_policy, policy_path, save_policy, shipped_policies
+from cassie_mjx.agents.policy_file import learner_policy, save_policy
+from cassie_mjx.agents.shipped import policy_path, shipped_policies
 from cassie_mjx.export import ExportConfig
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import stretch

@@ -54,5 +54,5 @@ def test_a_stopwatch_counts_lap_by_lap():
     watch = Stopwatch()
     double = watch.timed("double", lambda x: 2 * x)
     assert double(3) == 6
-    assert watch.lap()["double"] > 0
-    assert watch.lap() == {}
+    assert watch.since_last()["double"] > 0
+    assert watch.since_last() == {}

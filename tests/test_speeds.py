@@ -9,7 +9,7 @@ import pytest
 from cassie_mjx.agents.make import make_policy_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy import PolicyAgent, policy_step
-from cassie_mjx.agents.policy_file import shipped_policies
+from cassie_mjx.agents.shipped import shipped_policies
 from experiments import interpolation, learning, speeds
 from experiments.interpolation import InterpolationConfig, Ride, draw
 from experiments.speeds import SpeedsConfig, follow, profile

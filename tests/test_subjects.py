@@ -12,7 +12,8 @@ from cassie_mjx.agents.heuristic import HeuristicAgent
 from cassie_mjx.agents.make import AgentConfig, make_agent, make_policy_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy import PolicyAgent
-from cassie_mjx.agents.policy_file import save_policy, shipped_policies
+from cassie_mjx.agents.policy_file import save_policy
+from cassie_mjx.agents.shipped import shipped_policies
 from cassie_mjx.agents.types import Sensed
 from cassie_mjx.evaluation import film, returns
 from cassie_mjx.evaluation.returns import agent_returns

@@ -28,7 +28,7 @@ from cassie_mjx.ppo.config import PPO_PRESETS
 from cassie_mjx.training import checkpoint
 from cassie_mjx.training.config import PRESETS, TrainConfig, resolve_config
 from cassie_mjx.training.loggers import Terminal
-from cassie_mjx.training.runner import Session
+from cassie_mjx.training.runner import Runner
 from cassie_mjx.training.trainer import Trainer
 
 TINY = replace(tiny.TINY, iterations=6)
@@ -166,7 +166,7 @@ def test_a_finished_run_resumes_to_its_end_at_once(unbroken):
 def test_a_directory_that_holds_a_run_is_refused_untouched(unbroken, changes, sentence):
     before = contents(unbroken)
     with pytest.raises(ValueError, match=sentence):
-        Session(replace(config(unbroken), **changes), Console(file=io.StringIO()))
+        Runner(replace(config(unbroken), **changes), Console(file=io.StringIO()))
     assert contents(unbroken) == before
 
 
@@ -269,7 +269,7 @@ def test_auto_takes_mjx_on_an_accelerator_alone(monkeypatch):
 @pytest.mark.slow
 def test_an_iteration_on_mjx_is_one_compiled_call(tmp_path):
     tiny = replace(TINY, num_robots=2, num_steps=4, minibatch_size=8, iterations=2, normalizer_samples=8)
-    running = Session(
+    running = Runner(
         TrainConfig(ppo=tiny, physics="mjx", physics_hz=500, run_dir=str(tmp_path)), Console(file=io.StringIO())
     )
     running.train()
@@ -366,7 +366,7 @@ def test_a_divergence_does_not_flood_the_terminal(monkeypatch, tmp_path, capfd, 
     monkeypatch.chdir(tmp_path)
     Diverging().train()
     assert "WARNING: Nan, Inf or huge value in QVEL" in "".join(capfd.readouterr())
-    monkeypatch.setattr(train, "Session", Diverging)
+    monkeypatch.setattr(train, "Runner", Diverging)
     try:
         train.main(TrainConfig())
     finally:

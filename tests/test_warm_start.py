@@ -16,7 +16,7 @@ from cassie_mjx.envs.scenario import ScenarioConfig
 from cassie_mjx.ppo import networks
 from cassie_mjx.training import checkpoint
 from cassie_mjx.training.config import TrainConfig
-from cassie_mjx.training.runner import Session
+from cassie_mjx.training.runner import Runner
 
 ALL = WalkConfig(scenario=ScenarioConfig(push_n=100, push_pause_s=0.1, terrain_m=0.1, delay_s=0.004))
 
@@ -106,5 +106,5 @@ def test_a_policy_that_is_not_there_is_refused_before_anything_is_written(tmp_pa
 
 def test_a_policy_of_other_layers_is_refused(first, tmp_path):
     with pytest.raises(ValueError, match=r"has hidden layers of \[16, 16\]; set ppo.hidden_sizes to that."):
-        Session(TrainConfig(init=str(first), run_dir=str(tmp_path / "run")), Console(file=io.StringIO()))
+        Runner(TrainConfig(init=str(first), run_dir=str(tmp_path / "run")), Console(file=io.StringIO()))
     assert not (tmp_path / "run").exists()

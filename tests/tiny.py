@@ -7,7 +7,7 @@ from rich.console import Console
 
 from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.training.config import TrainConfig
-from cassie_mjx.training.runner import Session
+from cassie_mjx.training.runner import Runner
 
 TINY = PPOConfig(
     num_robots=4,
@@ -25,4 +25,4 @@ def config(folder, **changes):
 
 
 def session(folder, **changes):
-    return Session(config(folder, **changes), Console(file=io.StringIO()))
+    return Runner(config(folder, **changes), Console(file=io.StringIO()))

@@ -7,7 +7,7 @@ from cassie_mjx.agents.blending import SCHEDULES
 from cassie_mjx.agents.heuristic import CONTROLLER_PREFIX, HeuristicAgent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy import PolicyAgent, saved_agent
-from cassie_mjx.agents.policy_file import policy_path, shipped_policies
+from cassie_mjx.agents.shipped import policy_path, shipped_policies
 from cassie_mjx.agents.types import Agent
 from cassie_mjx.heuristic.config import CONTROLLERS
 

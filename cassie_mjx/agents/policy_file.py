@@ -22,28 +22,6 @@ from cassie_mjx.robot import cassie
 
 FULL_LAW = ControlLaw()
 """The paper's 80-D state, and both steps learned."""
-FOLDER = Path(__file__).parent / "policies"
-
-
-def shipped_policies() -> dict[str, Path]:
-    """Files of the trained policies that come with the package, by name."""
-    return {path.stem: path for path in sorted(FOLDER.glob("*.npz"), key=lambda path: path.stem)}
-
-
-def policy_path(name: str) -> Path | None:
-    """The policy we ship as `name`, the file `name`, or the best policy of the run in that directory; None if none.
-
-    Raises:
-      ValueError: there is such a file or run, and we ship a policy of the same name.
-    """
-    path = Path(name) / "best.npz" if Path(name).is_dir() else Path(name)
-    shipped, local = shipped_policies().get(name), path if path.is_file() else None
-    if shipped and local:
-        raise ValueError(
-            f"{name} comes with the package and is here as well, as {local}; write ./{name} for the one here, or "
-            f"{shipped} for the other."
-        )
-    return shipped or local
 
 
 def save_policy(

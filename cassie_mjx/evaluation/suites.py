@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import numpy as np
 
+from cassie_mjx.agents.make import make_agent
 from cassie_mjx.agents.types import Agent, AgentState
 from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.evaluation.returns import agent_returns
@@ -238,3 +239,21 @@ def _limits(lasting: _Lasting, agent: Agent, physics: Physics, starts: AgentStat
 SUITES: dict[str, Suite] = {"walk": walk, "delay": delay, "terrain": terrain, "push": push, "map": push_map}
 ALL = ("walk", "delay", "terrain", "push")
 """What suite=all means: the map has every cell that `push` searches, and many more."""
+
+
+def evaluate_agent(name: str, suite: str = "walk", setup: EvalSetup | None = None) -> list[Metric]:
+    """The metrics of an agent in a suite.
+
+    Args:
+      name: of the agent, as every command takes it: "1x", a policy's file, a run's directory, "controller:stiff".
+      suite: one of `SUITES`, or "all".
+      setup: engine and duration; MuJoCo C at 2 kHz unless given.
+
+    Raises:
+      ValueError: there is no such agent or suite.
+    """
+    if suite not in (*SUITES, "all"):
+        raise ValueError(f"suite={suite!r} is not known; choose one of {', '.join((*SUITES, 'all'))}.")
+    agent = make_agent(name)
+    chosen = ALL if suite == "all" else (suite,)
+    return [metric for each in chosen for metric in SUITES[each](agent, setup or EvalSetup()).metrics]

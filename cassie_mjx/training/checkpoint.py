@@ -43,7 +43,7 @@ class Restored(NamedTuple):
     """A checkpoint read back."""
 
     arrays: dict[str, np.ndarray]
-    """Arrays of the state by path; `fill` puts them into a state's structure."""
+    """Arrays of the state by path; `restore_into` puts them into a state's structure."""
     motion: ReferenceMotion
     """The reference motion."""
     record: dict[str, Any]
@@ -115,7 +115,7 @@ def restore(checkpoint: Path) -> Restored:
     return Restored(_read_state(checkpoint / "state"), motion, record)
 
 
-def fill(template: T, arrays: dict[str, np.ndarray]) -> T:
+def restore_into(template: T, arrays: dict[str, np.ndarray]) -> T:
     """The state `template` with the restored arrays in place of its own, each where, and in the precision that, it was.
 
     Raises:
@@ -138,7 +138,7 @@ def fill(template: T, arrays: dict[str, np.ndarray]) -> T:
 
 def _flatten(state: Any) -> dict[str, np.ndarray]:
     leaves = jax.tree_util.tree_leaves_with_path(state)
-    # orbax writes no empty arrays; `fill` does without.
+    # orbax writes no empty arrays; `restore_into` does without.
     return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves if np.size(leaf)}
 
 

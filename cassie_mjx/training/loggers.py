@@ -34,8 +34,8 @@ class Stopwatch:
 
         return wrapped
 
-    def lap(self) -> dict[str, float]:
-        """The seconds since the last lap, by name."""
+    def since_last(self) -> dict[str, float]:
+        """The seconds since the last call, by name."""
         seconds, self.seconds = self.seconds, {}
         return seconds
 

@@ -4,6 +4,7 @@ The host's loop: iterate, measure, save. A run is a directory with its configura
 whatever ends it, the same command with resume=true goes on exactly where the last checkpoint was.
 """
 
+import os
 import signal
 import sys
 import time
@@ -14,6 +15,7 @@ from pathlib import Path
 from types import FrameType
 
 import jax
+import mujoco
 from rich.console import Console
 
 from cassie_mjx import cli
@@ -46,7 +48,7 @@ class Counters:
 
 
 @dataclass
-class Lap:
+class IntervalStats:
     """What the host counts from one evaluation to the next."""
 
     train_s: float = 0.0
@@ -56,7 +58,7 @@ class Lap:
     """Episodes that ended by each of `termination.Ends`."""
 
 
-class Session:
+class Runner:
     """One process' part of a run: from its start or its last checkpoint to its end or a signal."""
 
     def __init__(self, config: TrainConfig, console: Console) -> None:
@@ -77,7 +79,7 @@ class Session:
         self.trainer = Trainer(config, self.motion)
         self.run, self.counters = self.trainer.start(policy), Counters()
         if restored:
-            self.run = checkpoint.fill(self.run, restored.arrays)
+            self.run = checkpoint.restore_into(self.run, restored.arrays)
             self.counters = Counters(**restored.record["counters"])
         self.saved = self.done if restored else None
         self.terminal = Terminal(console, config.ppo.iterations, self.done)
@@ -86,7 +88,7 @@ class Session:
         self.eval_engine = make_physics("native", ModelConfig())
         motion = self.trainer.env.motion
         self.policy_step = jax.jit(partial(policy_step, self.law, motion))
-        self.lap = Lap()
+        self.interval = IntervalStats()
         self.diagnosed = bool(max(devices.exchange((self.folder / "nan").exists())))
 
     @property
@@ -126,8 +128,8 @@ class Session:
         metrics = jax.device_get(metrics)
         elapsed = time.perf_counter() - began
         self._count(elapsed)
-        self.lap.iterations += 1
-        self.lap.ends.update({name: int(count) for name, count in metrics.ends.items()})
+        self.interval.iterations += 1
+        self.interval.ends.update({name: int(count) for name, count in metrics.ends.items()})
         if metrics.ends["nan"] and not self.diagnosed:
             self._diagnose(before)
         rate = self.config.ppo.num_samples / elapsed
@@ -156,7 +158,7 @@ class Session:
 
     def _count(self, seconds: float) -> None:
         self.counters.train_s += seconds
-        self.lap.train_s += seconds
+        self.interval.train_s += seconds
 
     def _agent(self, policy: Policy) -> PolicyAgent:
         """The policy as an agent, compiled once for all policies of the run."""
@@ -183,17 +185,17 @@ class Session:
 
     def _values(self, metrics: IterationMetrics, returns: dict[str, float], eval_s: float) -> dict[str, float]:
         """One line of metrics; counts, rates and shares of the time are those since the last one."""
-        lap, self.lap = self.lap, Lap()
-        seconds = {"eval": eval_s, **self.trainer.watch.lap()}
+        interval, self.interval = self.interval, IntervalStats()
+        seconds = {"eval": eval_s, **self.trainer.timer.since_last()}
         return {
             "train/iteration": self.done,
             "train/samples": self.samples,
             "train/episode_steps": self._episode_steps(metrics),
-            **{f"train/{name}": count for name, count in lap.ends.items()},
+            **{f"train/{name}": count for name, count in interval.ends.items()},
             "time/train_s": self.counters.train_s,
-            "time/samples_per_s": lap.iterations * self.config.ppo.num_samples / lap.train_s,
-            "time/physics_steps_per_s": lap.iterations * self.trainer.physics_steps / lap.train_s,
-            **{f"time/{name}_share": spent / (eval_s + lap.train_s) for name, spent in seconds.items()},
+            "time/samples_per_s": interval.iterations * self.config.ppo.num_samples / interval.train_s,
+            "time/physics_steps_per_s": interval.iterations * self.trainer.physics_steps / interval.train_s,
+            **{f"time/{name}_share": spent / (eval_s + interval.train_s) for name, spent in seconds.items()},
             **{f"eval/{name}": value for name, value in returns.items()},
             **{f"learner/{name}": float(value) for name, value in metrics.update._asdict().items()},
         }
@@ -246,3 +248,20 @@ class Interruption:
     def _note(self, number: int, _: FrameType | None) -> None:
         self.signal = number
         self.__exit__()
+
+
+def train_policy(config: TrainConfig) -> Path:
+    """Train one policy; what `python -m cassie_mjx.train` does. Returns the run's directory.
+
+    Raises:
+      ValueError: the configuration, the reference or the directory will not do; nothing is written then.
+    """
+    # On few cores, XLA's threads take time from the physics' threads; it reads this when it makes its first array.
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+    # Divergences are counted, and the first is kept; MuJoCo would print hundreds of lines about each.
+    mujoco.set_mju_user_warning(lambda _: None)
+    if config.distributed:
+        devices.join()
+    run = Runner(config, Console(quiet=not devices.is_first()))
+    run.train()
+    return run.folder

@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
-from cassie_mjx.agents.policy_file import learner_policy, policy_path, shipped_policies
+from cassie_mjx.agents.policy_file import learner_policy
+from cassie_mjx.agents.shipped import policy_path, shipped_policies
 from cassie_mjx.envs.termination import Ends
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.command import speed_factors
@@ -68,8 +69,8 @@ class Trainer:
     """The compiled or timed functions that a resolved configuration trains with."""
 
     def __init__(self, config: TrainConfig, motion: ReferenceMotion) -> None:
-        """Make the environment; on MuJoCo C, `watch` counts the time in `physics` and `learner`."""
-        self.config, self.watch = config, Stopwatch()
+        """Make the environment; on MuJoCo C, `timer` counts the time in `physics` and `learner`."""
+        self.config, self.timer = config, Stopwatch()
         # Where each part of a `RunState` belongs, if there is a choice.
         self._places: Any = None
         update = partial(learner.update, config.ppo)
@@ -89,10 +90,10 @@ class Trainer:
             # One compiled call an iteration. Left to itself, XLA moves empty arrays, and the next call compiles again.
             self.iterate = jax.jit(partial(iterate, self.collect, update), out_shardings=(self._places, None))
         else:
-            timed = _TimedPhysics(physics, self.watch)
+            timed = _TimedPhysics(physics, self.timer)
             self.env = WalkEnv(timed, motion, config.walk, config.ppo.num_robots, speeds)
             self.collect = partial(rollout.collect_on_host, self.env.step, config.ppo)
-            self.iterate = partial(iterate, self.collect, self.watch.timed("learner", update))
+            self.iterate = partial(iterate, self.collect, self.timer.timed("learner", update))
 
     @property
     def physics_steps(self) -> int:
@@ -158,7 +159,7 @@ def iteration_keys(run: RunState) -> jax.Array:
 class _TimedPhysics:
     """An engine whose time in `advance` is counted under "physics"."""
 
-    def __init__(self, physics: Physics, watch: Stopwatch) -> None:
+    def __init__(self, physics: Physics, timer: Stopwatch) -> None:
         self.model, self.max_delay, self.traceable = physics.model, physics.max_delay, physics.traceable
         self.init, self.bodies = physics.init, physics.bodies
-        self.advance = watch.timed("physics", physics.advance)
+        self.advance = timer.timed("physics", physics.advance)

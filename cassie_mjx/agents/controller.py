@@ -1,0 +1,178 @@
+"""A saved policy as the controller of a Cassie in any simulator: state in, PD targets out. NumPy alone.
+
+controller = Controller.load("1x", model)
+targets = controller.step(data.time, data.qpos, data.qvel)
+"""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cassie_mjx.agents.numpy_policy import NumpyPolicy
+from cassie_mjx.agents.shipped import load_policy
+from cassie_mjx.control.law import ControlLaw, target
+from cassie_mjx.control.network import Network
+from cassie_mjx.control.observation import OBSERVATIONS, Seen
+from cassie_mjx.motion.command import Command
+from cassie_mjx.motion.reference import ReferenceMotion, sample
+from cassie_mjx.robot import cassie
+
+
+class Joints:
+    """Where a model's qpos, qvel and actuators have Cassie's joints, matched by name."""
+
+    def __init__(
+        self,
+        root: tuple[Iterable[int], Iterable[int]],
+        addresses: Mapping[str, tuple[int, int]],
+        motors: Mapping[str, int],
+    ) -> None:
+        """Match names.
+
+        Args:
+          root: addresses of the pelvis' position and quaternion in qpos (7), and of its velocities in qvel (6): linear
+            in the world, angular in the pelvis.
+          addresses: joint name to its first address in qpos and in qvel.
+          motors: joint name to the index of the actuator that drives it.
+
+        Raises:
+          ValueError: a joint that is observed or driven is not there.
+        """
+        _check_names(addresses)
+        own_q, own_v, their_q, their_v = [], [], [], []
+        for name, nq, nv in cassie.JOINTS:
+            if name == "pelvis":
+                theirs = tuple(np.array(list(part)) for part in root)
+            elif name in addresses:
+                theirs = tuple(start + np.arange(n) for start, n in zip(addresses[name], (nq, nv), strict=True))
+            else:
+                continue
+            own_q.append(cassie.qpos_index(name))
+            own_v.append(cassie.qvel_index(name))
+            their_q.append(theirs[0])
+            their_v.append(theirs[1])
+        self.own_qpos, self.own_qvel = np.concatenate(own_q), np.concatenate(own_v)
+        self.qpos, self.qvel = np.concatenate(their_q), np.concatenate(their_v)
+        self.active_qpos, self.active_qvel = (
+            np.array([addresses[name][i] for name in cassie.ACTUATORS]) for i in range(2)
+        )
+        self.motors = np.array([motors.get(name, -1) for name in cassie.ACTUATORS])
+
+    @classmethod
+    def of(cls, model: Any) -> "Joints":
+        """Of a `mujoco.MjModel` whose joints have the published names; its root is a free joint, or slides and a ball.
+
+        Raises:
+          ValueError: a joint is missing, or the pelvis does not float.
+        """
+        names = [model.joint(i).name for i in range(model.njnt)]
+        addresses = {
+            name: (int(model.jnt_qposadr[i]), int(model.jnt_dofadr[i])) for i, name in enumerate(names) if name
+        }
+        _check_names(addresses)
+        pelvis = model.body_parentid[model.jnt_bodyid[names.index(cassie.ACTUATORS[0])]]
+        roots = [i for i in range(model.njnt) if model.jnt_bodyid[i] == pelvis]
+        # Widths in qpos and qvel of MuJoCo's joints: free, ball, slide, hinge.
+        widths = ((7, 6), (4, 3), (1, 1), (1, 1))
+        spans = [(model.jnt_qposadr[i], model.jnt_dofadr[i], *widths[model.jnt_type[i]]) for i in roots]
+        qpos = [int(q) + k for q, _, nq, _ in spans for k in range(nq)]
+        qvel = [int(v) + k for _, v, _, nv in spans for k in range(nv)]
+        if (len(qpos), len(qvel)) != (7, 6):
+            raise ValueError("The pelvis does not float: it needs a free joint, or three slides and a ball.")
+        motors = {names[model.actuator_trnid[i, 0]]: i for i in range(model.nu)}
+        return cls((qpos, qvel), addresses, motors)
+
+    @classmethod
+    def own(cls) -> "Joints":
+        """Of this package's own model."""
+        addresses = {
+            name: (int(cassie.qpos_index(name)[0]), int(cassie.qvel_index(name)[0])) for name, *_ in cassie.JOINTS[1:]
+        }
+        motors = {name: i for i, name in enumerate(cassie.ACTUATORS)}
+        return cls((cassie.qpos_index("pelvis"), cassie.qvel_index("pelvis")), addresses, motors)
+
+
+def _check_names(addresses: Mapping[str, tuple[int, int]]) -> None:
+    """Raise ValueError unless there is every joint that is observed or driven."""
+    missing = [name for name in (*cassie.ACTUATORS, *cassie.SPRUNG_NAMES) if name not in addresses]
+    if missing:
+        raise ValueError(f"The model lacks the joints {', '.join(missing)}; it has {', '.join(addresses)}.")
+
+
+class Controller:
+    """One robot's policy: it keeps its own time along the reference motion."""
+
+    def __init__(self, policy: NumpyPolicy, joints: Joints | None = None) -> None:
+        """Take a policy and where its robot has which joint; without `joints` that of this package's model.
+
+        Raises:
+          ValueError: the policy observes what this version does not know.
+        """
+        lines = list(policy.observation)
+        observation = next((known for known in OBSERVATIONS.values() if known.describe() == lines), None)
+        if observation is None:
+            raise ValueError(
+                "The policy observes what this version does not know; use the one it was trained with."
+            )
+        self.policy, self.joints = policy, joints or Joints.own()
+        self.law = ControlLaw(observation, policy.mirror is not None)
+        stride_length = np.asarray(policy.reference_stride_length)
+        self.motion = ReferenceMotion(policy.reference_qpos, policy.reference_qvel, stride_length)
+        self._network = Network(policy.mean, policy.std, policy.clip, policy.weights)
+        self.reset()
+
+    @classmethod
+    def load(cls, name: str | Path, model: Any = None) -> "Controller":
+        """The controller of a policy that comes with the package, of a policy's file or of a run, for a `mujoco.MjModel`.
+
+        Raises:
+          ValueError: there is no such policy, its file is damaged, or the model lacks a joint.
+        """
+        return cls(load_policy(name), None if model is None else Joints.of(model))
+
+    def reset(self) -> None:
+        """Begin anew, at the start of the reference motion."""
+        self._step, self._carry, self._start_s = 0, None, None
+        self._targets = np.zeros(cassie.NU)
+
+    def initial_state(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Copies of a model's qpos [nq] and qvel [nv] with the robot at the start of the reference motion."""
+        qpos, qvel = np.array(qpos, float), np.array(qvel, float)
+        qpos[self.joints.qpos] = self.motion.qpos[0, self.joints.own_qpos]
+        qvel[self.joints.qvel] = self.motion.qvel[0, self.joints.own_qvel]
+        return qpos, qvel
+
+    def __call__(self, qpos: np.ndarray, qvel: np.ndarray, command: float | None = None) -> np.ndarray:
+        """PD targets of the ten active joints for the next 32 ms, rad, in the order of `policy.joints`.
+
+        Args:
+          qpos: of the model, [nq].
+          qvel: of the model, [nv].
+          command: forward velocity that the robot is told, m/s; the policy's own unless given.
+        """
+        own_qpos, own_qvel = np.zeros((1, cassie.NQ)), np.zeros((1, cassie.NV))
+        own_qpos[0, self.joints.own_qpos] = np.asarray(qpos)[self.joints.qpos]
+        own_qvel[0, self.joints.own_qvel] = np.asarray(qvel)[self.joints.qvel]
+        told = None if command is None else Command(np.array([command], float))
+        ahead = sample(self.motion, np.array([self._step + 1]), told)
+        seen = Seen(own_qpos, own_qvel, *ahead, told)
+        carry = self.law.init(seen) if self._carry is None else self._carry
+        residual, self._carry = self.law.act(self._network, carry, seen)
+        self._step += 1
+        self._targets = target(ahead[0], residual)[0]
+        return self._targets
+
+    def step(self, time: float, qpos: np.ndarray, qvel: np.ndarray, command: float | None = None) -> np.ndarray:
+        """PD targets at a time, s, for loops of any rate: new ones every 32 ms, else those held; see `__call__`."""
+        self._start_s = time if self._start_s is None else self._start_s
+        if time - self._start_s >= self._step * cassie.CONTROL_PERIOD_S - 1e-9:
+            return self(qpos, qvel, command)
+        return self._targets
+
+    def torque(self, targets: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+        """Joint torques [10] of the PD law, N·m, clipped to the motors' limits: P (target - q) - D qdot."""
+        q, qdot = np.asarray(qpos)[self.joints.active_qpos], np.asarray(qvel)[self.joints.active_qvel]
+        torque = self.policy.p_gain * (targets - q) - self.policy.d_gain * qdot
+        return torque.clip(-cassie.TORQUE_LIMIT, cassie.TORQUE_LIMIT)

@@ -1,0 +1,43 @@
+"""The walking task, ready to reset and step."""
+
+from dataclasses import replace
+
+from cassie_mjx.envs.config import WALK_PRESETS, WalkConfig
+from cassie_mjx.envs.walk import WalkEnv
+from cassie_mjx.motion.command import speed_factors
+from cassie_mjx.motion.files import load_motion
+from cassie_mjx.motion.reference import stretch
+from cassie_mjx.physics.make import make_physics
+from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig
+
+
+def make_env(
+    speed: str = "1x",
+    robots: int = 128,
+    physics: str = "native",
+    physics_hz: int = 1000,
+    config: WalkConfig | str = "undisturbed",
+    motion: str = "walk",
+) -> WalkEnv:
+    """A batch of robots that imitate a motion: `state = env.reset(key)`, then `state = env.step(state, action, key)`.
+
+    Args:
+      speed: factor on the motion's speed, "0x" to "4x", or "any".
+      robots: B, side by side.
+      physics: "native", MuJoCo C, or "mjx", whose `reset` and `step` may be called under `jax.jit`.
+      physics_hz: physics steps a second.
+      config: the task, or the name of a preset of it.
+      motion: a name that we ship, or a motion's file.
+
+    Raises:
+      ValueError: one of these is not known or out of its range.
+    """
+    if isinstance(config, str):
+        if config not in WALK_PRESETS:
+            raise ValueError(f"config={config!r} is not known; choose one of {', '.join(WALK_PRESETS)}.")
+        config = WALK_PRESETS[config]
+    factor, speeds = speed_factors(speed)
+    solver = MJX_TRAINING if physics == "mjx" else ModelConfig()
+    model = replace(solver, physics_hz=physics_hz, scene="terrain" if config.scenario.terrain_m else "flat")
+    engine = make_physics(physics, model, config.scenario.delay_steps(physics_hz))
+    return WalkEnv(engine, stretch(load_motion(motion), factor), config, robots, speeds)

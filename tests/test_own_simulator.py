@@ -1,0 +1,122 @@
+"""`Controller`: a policy in plain MuJoCo, in another MJCF of the robot, and beside the agent that is evaluated."""
+
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+
+from cassie_mjx.agents.controller import Controller
+from cassie_mjx.agents.make import make_policy_agent
+from cassie_mjx.agents.shipped import shipped_policies
+from cassie_mjx.agents.types import Sensed
+from cassie_mjx.motion.reference import sample
+from cassie_mjx.robot.model import xml_path
+
+
+def walk(controller, model, seconds):
+    """Height and way of the pelvis after `seconds`, in a loop of a user's own."""
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = controller.initial_state(data.qpos, data.qvel)
+    joints = controller.joints
+    while data.time < seconds:
+        targets = controller.step(data.time, data.qpos, data.qvel)
+        torque = controller.torque(targets, data.qpos, data.qvel)
+        data.ctrl[joints.motors] = torque / model.actuator_gear[joints.motors, 0]
+        mujoco.mj_step(model, data)
+    return data.qpos[joints.qpos[2]], data.qpos[joints.qpos[0]]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return mujoco.MjModel.from_xml_path(str(xml_path("flat")))
+
+
+@pytest.fixture(scope="module")
+def other_root():
+    """Another MJCF of the robot: three slides and a ball for its root, and a swinging body before it."""
+    spec = mujoco.MjSpec.from_file(str(xml_path("flat")))
+    for key in list(spec.keys):
+        spec.delete(key)
+    pelvis = spec.body("cassie-pelvis")
+    spec.delete(pelvis.joints[0])
+    for name, axis in zip("xyz", np.eye(3), strict=True):
+        pelvis.add_joint(name=f"pelvis-{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+    pelvis.add_joint(name="pelvis-turn", type=mujoco.mjtJoint.mjJNT_BALL)
+    # Slides count from where the body stands in the file.
+    pelvis.pos = np.zeros(3)
+    bell = spec.worldbody.add_body(name="bell", pos=[0, 5, 2])
+    bell.add_joint(name="swing", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[1, 0, 0])
+    bell.add_geom(size=[0.1, 0, 0], pos=[0, 0, -0.5])
+    return spec.compile()
+
+
+@pytest.mark.parametrize("name", sorted(shipped_policies()))
+def test_every_policy_that_we_ship_walks_in_plain_mujoco(scene, name):
+    height, way = walk(Controller.load(name, scene), scene, 3.0)
+    assert 0.85 < height < 1.05
+    speed = {"0x": 0.0, "2x": 1.42, "3x": 2.13, "4x": 2.84}.get(name, 0.71)
+    assert way == pytest.approx(3 * speed, abs=0.25)
+
+
+def test_another_root_and_another_order_make_no_difference(scene, other_root):
+    controller = Controller.load("1x", other_root)
+    assert controller.joints.qpos[:7].tolist() != list(range(7)) or other_root.nq == scene.nq + 1
+    height, way = walk(controller, other_root, 3.0)
+    assert 0.85 < height < 1.05
+    assert way == pytest.approx(3 * 0.71, abs=0.25)
+
+
+def test_its_targets_are_the_agents(scene):
+    controller, agent = Controller.load("1x-robust"), make_policy_agent("1x-robust")
+    qpos, qvel = (np.array(x, float) for x in sample(agent.motion, np.arange(3)))
+    carry = agent.init(Sensed(qpos[:1], qvel[:1]))
+    for k in range(3):
+        expected, carry = agent.step(carry, Sensed(qpos[k : k + 1], qvel[k : k + 1]), None)
+        np.testing.assert_allclose(controller(qpos[k], qvel[k]), np.asarray(expected)[0], atol=1e-5)
+
+
+def test_targets_are_held_for_32_ms_at_any_rate(scene):
+    controller = Controller.load("1x")
+    qpos, qvel = controller.initial_state(np.zeros(35), np.zeros(32))
+    seen = [controller.step(0.7 + k * 0.002, qpos, qvel + 0.001 * k).copy() for k in range(33)]
+    changes = [k for k in range(1, 33) if not np.array_equal(seen[k], seen[k - 1])]
+    assert changes == [16, 32]
+
+
+def test_a_command_stretches_the_reference(scene):
+    slow, fast = Controller.load("any"), Controller.load("any")
+    qpos, qvel = slow.initial_state(np.zeros(35), np.zeros(32))
+    assert np.abs(slow(qpos, qvel, command=0.3) - fast(qpos, qvel, command=2.0)).max() > 1e-3
+    own = 0.5001 / 0.704
+    np.testing.assert_allclose(
+        Controller.load("any")(qpos, qvel, command=own), Controller.load("any")(qpos, qvel), atol=1e-4
+    )
+
+
+def test_a_full_turn_changes_nothing():
+    one, other = Controller.load("1x"), Controller.load("1x")
+    qpos, qvel = one.initial_state(np.zeros(35), np.zeros(32))
+    turned = qpos.copy()
+    turned[3:7] *= -1
+    np.testing.assert_array_equal(one(qpos, qvel), other(turned, qvel))
+
+
+def test_a_model_without_a_joint_is_refused():
+    spec = mujoco.MjSpec.from_string(
+        "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+    )
+    with pytest.raises(ValueError, match=r"The model lacks the joints left-hip-roll, .*"):
+        Controller.load("1x", spec.compile())
+
+
+def test_it_imports_numpy_alone():
+    program = """
+import sys
+import cassie_mjx
+cassie_mjx.Controller.load("1x")
+print(sorted({"jax", "flax", "mujoco", "brax", "orbax"} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
