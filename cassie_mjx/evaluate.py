@@ -4,10 +4,10 @@ What is measured and how, `cassie_mjx.suites` says. Nothing is drawn at random: 
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 from rich.console import Console
 from rich.status import Status
@@ -22,6 +22,8 @@ from cassie_mjx.physics.make import ENGINES
 @dataclass(frozen=True)
 class EvaluateConfig(AgentConfig):
     """What to measure."""
+
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"suite": (*SUITES, "all"), "physics": ENGINES}
 
     suite: str = "all"
     """"walk", "delay", "terrain", "push", "all" of them, or "map": all pushes in 16 directions."""
@@ -75,5 +77,10 @@ def table(title: str, rows: Sequence[dict[str, Any]]) -> Table:
     return shown
 
 
-if __name__ == "__main__":
+def run() -> None:
+    """Read the command line, and do it."""
     cli.run(main, EvaluateConfig)
+
+
+if __name__ == "__main__":
+    run()

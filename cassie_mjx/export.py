@@ -1,17 +1,21 @@
 """A policy as a file of its own: `python -m cassie_mjx.export run=runs/1x-seed0 out=policy.npz`."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from cassie_mjx import cli
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 
-CHOICES = ("best", "last")
+WHICH = ("best", "last")
 
 
 @dataclass(frozen=True)
 class ExportConfig:
     """What to export."""
+
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"which": WHICH}
 
     run: str
     """Directory of a training run."""
@@ -23,8 +27,8 @@ class ExportConfig:
 
 def main(config: ExportConfig) -> None:
     """Copy a run's policy to a file of its own, checked."""
-    if config.which not in CHOICES:
-        raise ValueError(f"which={config.which!r} is not known; choose one of {', '.join(CHOICES)}.")
+    if config.which not in WHICH:
+        raise ValueError(f"which={config.which!r} is not known; choose one of {', '.join(WHICH)}.")
     out, source = cli.check_writable(config.out), Path(config.run) / f"{config.which}.npz"
     policy = NumpyPolicy.load(source)
     partial = out.with_name(out.name + ".partial")
@@ -34,5 +38,10 @@ def main(config: ExportConfig) -> None:
     print(f"{config.out}: " + ", ".join(f"{name} {value:.1f}" for name, value in returns.items()))
 
 
-if __name__ == "__main__":
+def run() -> None:
+    """Read the command line, and do it."""
     cli.run(main, ExportConfig)
+
+
+if __name__ == "__main__":
+    run()

@@ -1,8 +1,10 @@
 """A walk as a video: `python -m cassie_mjx.render policy=1x out=walk.mp4`."""
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from rich.console import Console
@@ -27,6 +29,8 @@ from cassie_mjx.robot.model import ModelConfig
 @dataclass(frozen=True)
 class RenderConfig(AgentConfig):
     """What to film."""
+
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"camera": CAMERAS}
 
     out: str = "walk.mp4"
     """Video file, .mp4 or .gif."""
@@ -92,5 +96,10 @@ def main(config: RenderConfig) -> None:
     console.print(f"{config.out}: {agent.name} {'stayed up' if fell_s is None else f'fell after {fell_s:.2f} s'}.")
 
 
-if __name__ == "__main__":
+def run() -> None:
+    """Read the command line, and do it."""
     cli.run(main, RenderConfig)
+
+
+if __name__ == "__main__":
+    run()

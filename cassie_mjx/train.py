@@ -1,7 +1,7 @@
 """Train a policy: `python -m cassie_mjx.train speed=1x`."""
 
-from cassie_mjx.cli import hydra_line
-from cassie_mjx.training.config import PRESETS, TrainConfig
+from cassie_mjx import cli
+from cassie_mjx.training.config import PRESETS, RENAMED, TrainConfig
 from cassie_mjx.training.runner import train_policy
 
 
@@ -10,5 +10,10 @@ def main(config: TrainConfig) -> None:
     train_policy(config)
 
 
+def run() -> None:
+    """Read the command line, and do it."""
+    cli.run(main, TrainConfig, {key: cli.Group(*presets) for key, presets in PRESETS.items()}, RENAMED)
+
+
 if __name__ == "__main__":
-    hydra_line.run(main, TrainConfig, "train", PRESETS)
+    run()

@@ -10,7 +10,7 @@ import numpy as np
 
 from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
-from cassie_mjx.evaluation.viewer import Live, check_screen, run
+from cassie_mjx.evaluation.viewer import Live, check_screen, keep_showing
 from cassie_mjx.robot import cassie
 
 
@@ -42,8 +42,13 @@ def main(config: ViewConfig) -> None:
             viewer.cam.trackbodyid = viewer.perturb.select = cassie.PELVIS_BODY
             viewer.cam.distance, viewer.cam.azimuth, viewer.cam.elevation = 3.0, 135.0, -15.0
             viewer.opt.flags[mujoco.mjtVisFlag.mjVIS_PERTFORCE] = True
-        run(viewer, live)
+        keep_showing(viewer, live)
+
+
+def run() -> None:
+    """Read the command line, and do it."""
+    cli.run(main, ViewConfig)
 
 
 if __name__ == "__main__":
-    cli.run(main, ViewConfig)
+    run()

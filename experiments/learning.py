@@ -14,7 +14,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from omegaconf import OmegaConf
 from rich.console import Console
@@ -23,10 +23,10 @@ from rich.table import Table
 from cassie_mjx import cli
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.scenario import ScenarioConfig
+from cassie_mjx.reporting import plots
 from cassie_mjx.training import checkpoint
-from cassie_mjx.training.config import PRESETS, TrainConfig
+from cassie_mjx.training.config import PRESETS, TrainConfig, present_names
 from cassie_mjx.training.run_directory import comparable
-from experiments import plots
 
 # The return that the paper reports.
 GOAL = 250
@@ -99,6 +99,7 @@ LATER |= {
 }
 # What means nothing to robots of one speed, as all of those runs have.
 LATER |= {"walk.command_s": WalkConfig().command_s}
+LATER |= {"contacts": "full", "walk.observation": "full"}
 LATER |= {f"walk.scenario.{name}": value for name, value in vars(ScenarioConfig()).items()}
 """How runs were trained whose configuration does not name these yet."""
 
@@ -142,6 +143,8 @@ STUDIES = {
 @dataclass(frozen=True)
 class LearningConfig:
     """What to study."""
+
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"study": tuple(STUDIES)}
 
     study: str = "walking"
     """One of `STUDIES`."""
@@ -236,7 +239,7 @@ def expected(variant: Variant, seed: int, runs: Path) -> dict[str, Any]:
 
 def deviations(config: dict[str, Any], variant: Variant, seed: int, runs: Path) -> list[str]:
     """What a recorded configuration has otherwise than a variant's run in the folder `runs`, as key=value."""
-    found = LATER | config
+    found = LATER | present_names(config)
     wanted = expected(variant, seed, runs)
     return [f"{key}={found.get(key)}" for key, value in wanted.items() if found.get(key) != value]
 

@@ -12,9 +12,12 @@ import numpy as np
 from rich.console import Console
 
 from cassie_mjx import cli
-from experiments import page, plots, tables
-from experiments.page import drawn, section, table
-from experiments.tables import Result, Table, blaming, find, walkers
+from cassie_mjx.reporting import page, plots
+from cassie_mjx.reporting.page import drawn, section, table
+from cassie_mjx.reporting.results import Result, blaming, find
+from cassie_mjx.reporting.tables import NO_FIGURE, Table, markdown
+from experiments import tables
+from experiments.tables import walkers
 
 MARKERS = ("<!-- results, written by `make report` -->", "<!-- end of results -->")
 
@@ -81,7 +84,7 @@ def all_figures(results: Sequence[Result]) -> Table:
     rows = []
     for quantity, unit in units.items():
         values = [result.value(quantity) for result in results]
-        cells = [tables.NO_FIGURE if value is None else f"{value:.5g}" for value in values]
+        cells = [NO_FIGURE if value is None else f"{value:.5g}" for value in values]
         rows.append((quantity, *cells, unit))
     return Table(("quantity", *(result.name for result in results), "unit"), rows, [])
 
@@ -258,7 +261,7 @@ def block(folder: Path) -> str:
         tables.beside_each_other(folder, tables.ALL_SPEEDS),
         tables.beside_each_other(folder, tables.STEPS),
     ]
-    return "\n\n".join(tables.markdown(content) for content in found if content)
+    return "\n\n".join(markdown(content) for content in found if content)
 
 
 def with_block(text: str, content: str) -> str:

@@ -1,80 +1,15 @@
 """Result files read back, and what they say as tables beside the paper's figures; no JAX, no MuJoCo."""
 
-import json
-import re
-import statistics
-import textwrap
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-PROVENANCE = ("command", "commit", "date", "hardware")
-NO_FIGURE = "–"
+from cassie_mjx.reporting.results import Result, blaming, find
+from cassie_mjx.reporting.tables import NO_FIGURE, ROWS, Row, Table, cell, sources, span
+
 WALK_S = 10.0
 EVALUATE = "`python -m cassie_mjx.evaluate policy=NAME`, or `policy=runs/studies/NAME-seed1` for seed 1,"
 RETURNS = "`policy=controller:NAME` is a controller; it imitates nothing, so it has no return."
-
-
-@dataclass(frozen=True)
-class Result:
-    """One result file."""
-
-    name: str
-    """Its path below the folder of results."""
-    content: dict[str, Any]
-
-    @property
-    def provenance(self) -> dict[str, Any]:
-        """Command, commit, date, hardware, and what else was recorded."""
-        return self.content["provenance"]
-
-    @property
-    def seed(self) -> str:
-        """Seed of the training run whose policy was measured; "" if the name of the file has none."""
-        found = re.search(r"-seed(\d+)\.json$", self.name)
-        return found[1] if found else ""
-
-    def value(self, quantity: str, subject: str | None = None) -> float | None:
-        """The value of a quantity, of one subject if several are in the file; None if it was not measured."""
-        return next(iter(self.values(quantity, subject)), None)
-
-    def values(self, quantity: str, subject: str | None = None) -> list[float]:
-        """The values of a quantity, of one subject if several are in the file; one a seed of its training."""
-        rows = (r for r in self.content["rows"] if r.get("quantity") == quantity and subject in (None, r["subject"]))
-        return [row["value"] for row in rows]
-
-
-@contextmanager
-def blaming(path: Path) -> Iterator[None]:
-    """Turn whatever is missing or wrong in the content of a result file into one sentence that names the file."""
-    try:
-        yield
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
-        why = f"no {error}" if isinstance(error, KeyError) else str(error)
-        raise ValueError(f"{path} is not a result as expected: {why}; make it again or move it away.") from error
-
-
-def read(folder: Path, name: str) -> Result:
-    """The result file `name` in `folder`.
-
-    Raises:
-      ValueError: it is no JSON, has no rows or no provenance, or the value of a quantity is no number.
-    """
-    with blaming(folder / name):
-        content = json.loads((folder / name).read_text())
-        for key in PROVENANCE:
-            content["provenance"][key].strip()
-        for row in content["rows"]:
-            if row.keys() >= {"subject", "quantity"}:
-                row["value"] = float(row["value"])
-    return Result(name, content)
-
-
-def find(folder: Path, pattern: str) -> list[Result]:
-    """The results whose path below `folder` matches a glob pattern, in the order of their names."""
-    return [read(folder, path.relative_to(folder).as_posix()) for path in sorted(folder.glob(pattern))]
 
 
 WALKERS = {
@@ -128,81 +63,12 @@ def _check_origin(walker: str, seed: str, provenance: dict[str, Any]) -> None:
             raise ValueError(f"it is of {key}={found[key]}, where {key}={value} is reported")
 
 
-class Row(NamedTuple):
-    """An experiment whose figure is the least of some quantities of an evaluation."""
-
-    experiment: str
-    quantities: tuple[str, ...]
-    suite: str
-    paper_controller: str = NO_FIGURE
-    paper_policy: str = NO_FIGURE
-    digits: int = 0
-    highest: float = float("inf")
-    """The highest level tried: a limit that reaches it may be larger."""
-
-
-# Paper: Xie et al. (IROS 2018), section V. It pushed "sideways" and names no phase of the stride.
-ROWS = (
-    Row("undisturbed return, plain reward, of 300", ("return_plain",), "walk", NO_FIGURE, "about 250", 1),
-    Row("speed, m/s", ("speed_mps",), "walk", digits=3),
-    Row("ten walks of 60 s: the shortest, s", ("survived_s_60s",), "walk long=true", digits=1),
-    Row("return with senses 5 ms late", ("delay_5ms_return_plain",), "delay", NO_FIGURE, "247", 1),
-    Row("return with senses 10 ms late", ("delay_10ms_return_plain",), "delay", NO_FIGURE, "falls", 1),
-    Row("largest delay, ms", ("delay_max_ms",), "delay", NO_FIGURE, "5, not 10", 1, 20),
-    Row("terrain z = h sin x, largest h, m", ("terrain_h_m",), "terrain", "0.07", "0.15", 2, 0.4),
-    Row("terrain, largest h over 60 s, m", ("terrain_h_m_60s",), "terrain long=true", digits=2, highest=0.4),
-    *(
-        Row(f"push {way}, {phase} phase, N", tuple(quantities), "push", controller, policy, 0, 400)
-        for way, sides, controller, policy in (
-            ("forward", ("forward",), "50", "140"),
-            ("backward", ("backward",), "70", "90"),
-            ("sideways", ("left", "right"), "15", "50"),
-        )
-        for phase, quantities in (
-            ("median", [f"push_{side}_median_N" for side in sides]),
-            ("worst", [f"push_{side}_N" for side in sides]),
-        )
-    ),
-)
-
 ENGINES = {"native": "MuJoCo C", "mjx": "MJX"}
 """The engines' names in result files, and to readers."""
 
 PAPER_SPEEDS = dict.fromkeys(("0x", "2x", "3x"), "learned in 3 to 5 h") | {"4x": "learned, unstable in training"}
 PAPER_BLENDS = {"1x,2x schedule=ramp": "speeds up, slows down", "2x,3x schedule=ramp": "speeds up, slows down"}
 PAPER_BLENDS |= {"1x,2x schedule=adaptive": "h = 0.22 m"}
-
-
-class Table(NamedTuple):
-    """Rows of text; the last cell of each is code."""
-
-    header: tuple[str, ...]
-    rows: list[tuple[str, ...]]
-    notes: list[str]
-
-
-def least(result: Result, quantities: Sequence[str]) -> float | None:
-    """The least of some quantities; None unless all were measured."""
-    values = [result.value(quantity) for quantity in quantities]
-    return None if None in values else min(value for value in values if value is not None)
-
-
-def cell(row: Row, results: Sequence[Result]) -> str:
-    """The mean over the results, one a seed, and the least and greatest of them."""
-    values = [value for result in results if (value := least(result, row.quantities)) is not None]
-    if not values:
-        return NO_FIGURE
-    text = span(values, row.digits)
-    text += f" ({len(values)} of {len(results)} seeds)" if len(values) < len(results) else ""
-    ends = sum(value >= row.highest for value in values)
-    text += ", the highest tried" if ends else ""
-    return text + (f" by {ends} of them" if 0 < ends < len(values) else "")
-
-
-def span(values: Sequence[float], digits: int) -> str:
-    """The mean and, unless they are alike, the least and greatest of some values."""
-    mean, low, high = (f"{f(values):.{digits}f}" for f in (statistics.mean, min, max))
-    return mean if low == high else f"{mean} ({low} to {high})"
 
 
 def beside_the_paper(folder: Path) -> Table:
@@ -258,16 +124,6 @@ def _best(measured: Sequence[tuple[str, list[Result]]]) -> str:
         if len(returns) > 1:
             best.append(f"`{walker}` seed {max(returns, key=lambda seed: returns[seed])}")
     return f" Best seed by undisturbed return: {', '.join(best)}." if best else ""
-
-
-def sources(results: Sequence[Result]) -> str:
-    """Files, hardware and dates in one sentence."""
-    if not results:
-        return "No result file yet."
-    files = ", ".join(f"`{result.name}`" for result in results)
-    hardware = ", ".join(sorted({result.provenance["hardware"] for result in results}))
-    dates = sorted({result.provenance["date"] for result in results})
-    return f"From {files} in `experiments/results`; {hardware}; {' to '.join(dict.fromkeys((dates[0], dates[-1])))}."
 
 
 def speeds_and_blends(folder: Path) -> Table | None:
@@ -364,12 +220,3 @@ def engines(result: Result) -> Table:
     ]
     returned = (f"{reward} return on {ENGINES[engine]}" for reward, engine in pairs)
     return Table(("policy", "trained on", "physics in the test, Hz", *returned, "command"), rows, [])
-
-
-def markdown(table: Table) -> str:
-    """The table, and its notes in lines of at most 120 characters, in Markdown."""
-    lines = [table.header, ("---",) * len(table.header)]
-    lines += [(*row[:-1], f"`{row[-1]}`") for row in table.rows]
-    text = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
-    notes = [textwrap.fill(note, 120, break_long_words=False, break_on_hyphens=False) for note in table.notes]
-    return "\n\n".join([text, *notes])

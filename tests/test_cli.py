@@ -1,5 +1,7 @@
 """Command lines as dataclasses, and results with their provenance."""
 
+import dataclasses
+import importlib
 import json
 import os
 import re
@@ -12,6 +14,8 @@ from types import SimpleNamespace
 import pytest
 
 from cassie_mjx import cli
+from cassie_mjx.cli import main as console
+from cassie_mjx.cli.explain import field_docs
 
 
 @dataclass(frozen=True)
@@ -128,3 +132,60 @@ def test_hardware_names_what_jax_computes_on(monkeypatch, backend, kinds, named)
 def test_provenance_leaves_jax_alone_where_nothing_uses_it():
     program = "import sys; from cassie_mjx import cli; cli.provenance(); assert 'jax' not in sys.modules"
     subprocess.run([sys.executable, "-c", program], check=True)
+
+
+ROOT = Path(__file__).parents[1]
+COMMANDS = ("train", "evaluate", "render", "view", "export")
+EXPERIMENTS = sorted(path.stem for path in (ROOT / "experiments").glob("*.py") if "cli.run(main, " in path.read_text())
+
+
+@pytest.mark.parametrize(
+    "name", [*(f"cassie_mjx.{each}" for each in COMMANDS), *(f"experiments.{e}" for e in EXPERIMENTS)]
+)
+def test_help_explains_every_key(monkeypatch, capsys, name):
+    module = importlib.import_module(name)
+    config_class = next(
+        value
+        for key, value in vars(module).items()
+        if key.endswith("Config") and f"cli.run(main, {key}" in Path(str(module.__file__)).read_text()
+    )
+    monkeypatch.setattr(sys, "argv", [name, "--help"])
+    cli.run(module.main, config_class, {"walk": cli.Group("a", {"a": 1})} if name.endswith("train") else None)
+    shown = capsys.readouterr().out
+    for key, text in field_docs(config_class).items():
+        assert f"  {key}=" in shown or f"  {key}." in shown
+        assert text.split()[0] in shown
+    assert {field.name for field in dataclasses.fields(config_class)} == field_docs(config_class).keys()
+
+
+def test_help_shows_defaults_choices_and_nested_keys(monkeypatch, capsys):
+    from cassie_mjx.training.config import PRESETS, TrainConfig
+
+    monkeypatch.setattr(sys, "argv", ["train", "-h"])
+    cli.run(print, TrainConfig, {key: cli.Group(*presets) for key, presets in PRESETS.items()})
+    shown = " ".join(capsys.readouterr().out.split())
+    for part in (
+        "walk=undisturbed Presets: undisturbed, robust.",
+        "ppo.hidden_sizes=256,256",
+        "ppo.target_kl=0.05",
+        "walk.scenario.push_n=0.0 Force of a push at the pelvis, N",
+        "Choices: auto, native, mjx.",
+        "init=null",
+    ):
+        assert part in shown
+
+
+def test_the_console_script_lists_and_runs_the_commands(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["cassie-mjx"])
+    console.main()
+    shown = capsys.readouterr().out
+    assert all(f"  {name}" in shown for name in COMMANDS)
+    monkeypatch.setattr(sys, "argv", ["cassie-mjx", "export", "--help"])
+    console.main()
+    assert "  run=..." in capsys.readouterr().out
+    monkeypatch.setattr(sys, "argv", ["cassie-mjx", "fly"])
+    with pytest.raises(SystemExit, match="2"):
+        console.main()
+    assert (
+        capsys.readouterr().err == f"error: 'fly' is not a command; the commands are {', '.join(console.COMMANDS)}.\n"
+    )

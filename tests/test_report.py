@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cassie_mjx.reporting.tables import markdown
 from experiments import report, tables
 from experiments.report import MARKERS, ReportConfig, block, main, whole_page, with_block
 
@@ -180,7 +181,7 @@ def test_the_policy_of_all_speeds_stands_beside_those_of_one(everything):
     )
     assert row_of(table, "push forward, worst")["`any speed=2x`, training seed 0"] == "90"
     assert row_of(table, "undisturbed")["`any speed=2x`, training seed 0"] == "–"
-    assert tables.markdown(table) in block(everything)
+    assert markdown(table) in block(everything)
 
 
 def test_policies_of_one_step_stand_beside_those_of_both(everything):
@@ -191,7 +192,7 @@ def test_policies_of_one_step_stand_beside_those_of_both(everything):
     assert table is not None
     assert [row[1:3] for row in table.rows] == [("150", "90")]
     assert "for `any`" not in table.notes[0]
-    assert tables.markdown(table) in block(everything)
+    assert markdown(table) in block(everything)
 
 
 def test_two_engines(everything):

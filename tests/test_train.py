@@ -16,17 +16,16 @@ import pytest
 import tiny
 from rich.console import Console
 
-from cassie_mjx import train
+from cassie_mjx import cli, train
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy_file import save_policy
-from cassie_mjx.cli import hydra_line
 from cassie_mjx.envs.config import WALK_PRESETS
 from cassie_mjx.motion.command import speed_factor, speed_factors
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.ppo.config import PPO_PRESETS
-from cassie_mjx.training import checkpoint
-from cassie_mjx.training.config import PRESETS, TrainConfig, resolve_config
+from cassie_mjx.training import checkpoint, runner
+from cassie_mjx.training.config import PRESETS, RENAMED, TrainConfig, resolve_config
 from cassie_mjx.training.loggers import Terminal
 from cassie_mjx.training.runner import Runner
 from cassie_mjx.training.trainer import Trainer
@@ -283,7 +282,7 @@ def test_an_iteration_on_mjx_is_one_compiled_call(tmp_path):
 def command(monkeypatch, main, *arguments):
     monkeypatch.setattr(sys, "argv", ["train", *arguments])
     monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
-    hydra_line.run(main, TrainConfig, "train", PRESETS)
+    cli.run(main, TrainConfig, {key: cli.Group(*presets) for key, presets in PRESETS.items()}, RENAMED)
 
 
 def configs(monkeypatch, tmp_path, *arguments):
@@ -319,16 +318,16 @@ def test_a_sweep_runs_every_combination(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("argument", "sentence"),
     [
-        ("sped=2x", "'sped' is not a key; the keys are speed, physics, physics_hz, seed,"),
+        ("sped=2x", "'sped' is not a key; the keys are speed, physics, physics_hz, contacts, seed,"),
         ("ppo.clip=1", "'ppo.clip' is not a key; the keys are num_robots, num_steps,"),
-        ("+song=1", "A key with + in front must exist as well"),
+        ("+song=1", "'+song' is not a key; the keys are speed,"),
         ("walk.scenario.wind=1", "'walk.scenario.wind' is not a key; the keys are push_n,"),
         ("walk.scenario.push_n=-1", "push_n=-1.0 must be from 0 to 1000."),
-        ("ppo=huge", "ppo=huge is not known; choose one of massive, paper, parallel."),
-        ("hydra/launcher=slurm", "hydra/launcher=slurm is not known; choose one of basic."),
-        ("seed=one", "seed: Value 'one' of type 'str' could not be converted to Integer."),
-        ("speed", "'speed' is not of the form key=value."),
-        ("seed=0,1", "Ambiguous value for argument 'seed=0,1'"),
+        ("ppo=huge", "ppo=huge is not known; choose one of paper, parallel, massive."),
+        ("hydra/launcher=slurm", "'hydra/launcher' is not a key; the keys are speed,"),
+        ("seed=one", "seed=one: Value 'one' of type 'str' could not be converted to Integer."),
+        ("speed", "'speed' is not of the form key=value; the keys are speed,"),
+        ("seed=0,1", "seed=0,1: Value '0,1' of type"),
         ("speed=9x", "speed=9x is not a speed; give a factor from 0x to 4x, such as 2x or 1.5x, or any"),
         ("speed=fast", "speed=fast is not a speed"),
         ("physics=bullet", "physics=bullet is not known; choose one of auto, native, mjx."),
@@ -345,6 +344,37 @@ def test_a_wrong_command_line_is_refused_in_one_sentence(monkeypatch, capsys, ar
     assert line.startswith(f"error: {sentence}")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["seed=0,1", "speed=9x"], "speed=9x is not a speed"),
+        (["hydra/launcher=slurm", "seed=0,1"], "hydra/launcher=slurm is not known; choose one of basic."),
+        (["seed"], "'seed' is not of the form key=value."),
+    ],
+)
+def test_a_wrong_sweep_is_refused_in_one_sentence(monkeypatch, capsys, arguments, sentence):
+    with pytest.raises(SystemExit, match="2"):
+        command(monkeypatch, print, "-m", *arguments)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {sentence}")
+
+
+def test_a_sweep_takes_presets_and_nested_keys(monkeypatch, tmp_path):
+    seen = configs(monkeypatch, tmp_path, "-m", "walk=undisturbed,robust", "walk.scenario.push_n=5,7", "ppo=paper")
+    assert [(each.walk.symmetric, each.walk.scenario.push_n) for each in seen] == [
+        *((False, 5.0), (False, 7.0), (True, 5.0), (True, 7.0))
+    ]
+    assert seen[0].ppo == PPO_PRESETS["paper"]
+
+
+def test_old_names_of_keys_still_work(monkeypatch, tmp_path, capsys):
+    old = ["walk.disturbance.push_n=120", "walk.early_end_reward=0.3", "walk.x_limit_m=null", "walk.damping=0.5"]
+    (seen,) = configs(monkeypatch, tmp_path, *old)
+    assert seen.walk.scenario.push_n == 120
+    assert (seen.walk.min_reward, seen.walk.max_position_error_m, seen.walk.kd_scale) == (0.3, None, 0.5)
+    assert "walk.damping is now called walk.kd_scale." in capsys.readouterr().err
+
+
 def test_what_fails_in_a_run_ends_it_in_one_sentence(monkeypatch, capsys):
     def full(_):
         raise OSError("The checkpoint could not be written.")
@@ -356,6 +386,8 @@ def test_what_fails_in_a_run_ends_it_in_one_sentence(monkeypatch, capsys):
 
 def test_a_divergence_does_not_flood_the_terminal(monkeypatch, tmp_path, capfd, model):
     class Diverging:
+        folder = None
+
         def __init__(self, *_):
             self.data = mujoco.MjData(model)
             self.data.qvel[:] = 1e12
@@ -366,7 +398,7 @@ def test_a_divergence_does_not_flood_the_terminal(monkeypatch, tmp_path, capfd, 
     monkeypatch.chdir(tmp_path)
     Diverging().train()
     assert "WARNING: Nan, Inf or huge value in QVEL" in "".join(capfd.readouterr())
-    monkeypatch.setattr(train, "Runner", Diverging)
+    monkeypatch.setattr(runner, "Runner", Diverging)
     try:
         train.main(TrainConfig())
     finally:

@@ -11,6 +11,7 @@ from acting import Swaying
 
 from cassie_mjx import cli, view
 from cassie_mjx.agents import make
+from cassie_mjx.evaluation import viewer
 from cassie_mjx.evaluation.film import film
 from cassie_mjx.evaluation.trial import Trial
 from cassie_mjx.evaluation.viewer import Live
@@ -55,7 +56,7 @@ def clock(monkeypatch):
         assert seconds >= 0
         clock.now += seconds
 
-    monkeypatch.setattr(view, "time", SimpleNamespace(perf_counter=lambda: clock.now, sleep=sleep))
+    monkeypatch.setattr(viewer, "time", SimpleNamespace(perf_counter=lambda: clock.now, sleep=sleep))
     return clock
 
 
@@ -74,7 +75,7 @@ def test_the_robot_steps_as_in_the_physics_of_the_sweeps(period_s, terrain, kd_s
 def test_the_loop_keeps_real_time_and_says_so(clock):
     live = Live(Swaying())
     window = window_of(live, 50)
-    view.run(window, live)
+    viewer.keep_showing(window, live)
     np.testing.assert_allclose(live.data.time, 50 * 0.016)
     np.testing.assert_allclose(clock.now, 100 + 50 * 0.016)
     assert window.texts[-1][2:] == ("time\nspeed", f"0.8 s\n{(live.data.qpos[0] - 0.0) / 0.8:.2f} m/s")
@@ -82,8 +83,8 @@ def test_the_loop_keeps_real_time_and_says_so(clock):
 
 def test_the_mouse_moves_the_robot(clock):
     still, pushed = Live(Swaying()), Live(Swaying())
-    view.run(window_of(still, 20), still)
-    view.run(window_of(pushed, 20, push=60.0), pushed)
+    viewer.keep_showing(window_of(still, 20), still)
+    viewer.keep_showing(window_of(pushed, 20, push=60.0), pushed)
     assert pushed.data.qpos[1] > still.data.qpos[1] + 0.01
 
 
@@ -91,7 +92,7 @@ def test_a_fallen_robot_starts_anew_after_a_second(clock):
     live = Live(Swaying(hold=0.0))
     start = live.data.qpos.copy()
     window = window_of(live, 200)
-    view.run(window, live)
+    viewer.keep_showing(window, live)
     fell, again = np.argmax(np.array(window.heights) < 0.6), np.argmin(np.diff(window.times)) + 1
     np.testing.assert_allclose(0.016 * (again - fell), 1.0, atol=0.017)
     live.restart()
@@ -124,7 +125,7 @@ def test_the_window_follows_the_pelvis_and_has_it_selected(monkeypatch, clock):
 
 
 def test_without_a_screen_there_is_one_sentence(monkeypatch):
-    monkeypatch.setattr(view.glfw, "init", lambda: False)
+    monkeypatch.setattr(viewer.glfw, "init", lambda: False)
     monkeypatch.setattr(view.sys, "platform", "linux")
     with pytest.raises(ValueError, match="needs a screen, and there is none here; python -m cassie_mjx.render films"):
         view.main(ViewConfig())

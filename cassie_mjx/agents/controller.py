@@ -113,9 +113,7 @@ class Controller:
         lines = list(policy.observation)
         observation = next((known for known in OBSERVATIONS.values() if known.describe() == lines), None)
         if observation is None:
-            raise ValueError(
-                "The policy observes what this version does not know; use the one it was trained with."
-            )
+            raise ValueError("The policy observes what this version does not know; use the one it was trained with.")
         self.policy, self.joints = policy, joints or Joints.own()
         self.law = ControlLaw(observation, policy.mirror is not None)
         stride_length = np.asarray(policy.reference_stride_length)
@@ -125,7 +123,7 @@ class Controller:
 
     @classmethod
     def load(cls, name: str | Path, model: Any = None) -> "Controller":
-        """The controller of a policy that comes with the package, of a policy's file or of a run, for a `mujoco.MjModel`.
+        """The controller of a policy that we ship, of a policy's file or of a run, for a `mujoco.MjModel`.
 
         Raises:
           ValueError: there is no such policy, its file is damaged, or the model lacks a joint.

@@ -1,6 +1,8 @@
 """The agent of a name: a policy, a blend, the heuristic walker."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from cassie_mjx.agents.blend import BLEND_PREFIX, BlendAgent
 from cassie_mjx.agents.blending import SCHEDULES
@@ -15,6 +17,8 @@ from cassie_mjx.heuristic.config import CONTROLLERS
 @dataclass(frozen=True)
 class AgentConfig:
     """What walks: the first keys of a command that has one agent."""
+
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"schedule": tuple(SCHEDULES)}
 
     policy: str = "1x"
     """What walks: a policy that we ship, a policy's .npz file, a run's directory (its best policy), "controller:stiff",

@@ -1,7 +1,16 @@
 """Command lines, files, provenance."""
 
-from cassie_mjx.cli.command_line import keep_compiled_programs, parse, run
+from cassie_mjx.cli.command_line import Group, keep_compiled_programs, parse, run
 from cassie_mjx.cli.files import check_writable, write_json, write_text
 from cassie_mjx.cli.origin import provenance
 
-__all__ = ["check_writable", "keep_compiled_programs", "parse", "provenance", "run", "write_json", "write_text"]
+__all__ = [
+    "Group",
+    "check_writable",
+    "keep_compiled_programs",
+    "parse",
+    "provenance",
+    "run",
+    "write_json",
+    "write_text",
+]

@@ -17,8 +17,9 @@ def provenance(**more: Any) -> dict[str, Any]:
     """Where a result comes from: command, commit, date, hardware, versions, and whatever else is given."""
     module = getattr(sys.modules["__main__"], "__spec__", None)
     name = module.name.removesuffix(".__main__") if module else Path(sys.argv[0]).name
+    console = sys.argv[0].startswith("cassie-mjx ")
     return {
-        "command": " ".join(["python -m", name, *sys.argv[1:]]),
+        "command": " ".join(sys.argv if console else ["python -m", name, *sys.argv[1:]]),
         "commit": _commit(),
         "date": datetime.date.today().isoformat(),
         "hardware": ", ".join([_processor(), f"{os.cpu_count()} cores", *_accelerators()]),

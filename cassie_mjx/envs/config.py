@@ -1,6 +1,8 @@
 """The configuration of the walking task, and its presets."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from cassie_mjx.control.law import ControlLaw
 from cassie_mjx.control.observation import OBSERVATIONS
@@ -12,6 +14,11 @@ from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
 @dataclass(frozen=True)
 class WalkConfig:
     """The task's own parameters."""
+
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {
+        "reward": tuple(reward.SCALES),
+        "observation": tuple(OBSERVATIONS),
+    }
 
     reward: str = "weighted"
     """Reward to learn from: "plain" (the paper's) or "weighted" (the later code's); both are always measured."""

@@ -100,7 +100,7 @@ class Live:
         return bool(has_fallen(height_over_ground(self.data.qpos, np.float64(self.terrain))))
 
 
-def run(viewer: mujoco.viewer.Handle, live: Live) -> None:
+def keep_showing(viewer: mujoco.viewer.Handle, live: Live) -> None:
     """Walk in real time until the window is closed. The viewer writes the mouse's force into the robot's data."""
     steps = round(SYNC_S / live.model.opt.timestep)
     way, down_s = deque([float(live.data.qpos[0])], round(SPEED_WINDOW_S / SYNC_S)), 0.0

@@ -3,7 +3,9 @@
 A configuration that exists is valid: its constructor checks every value and says in one sentence what is wrong.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 SCHEDULES = ("constant", "linear", "exponential")
 
@@ -22,6 +24,8 @@ class PPOConfig:
     Raises:
         ValueError: a value is out of its range; the message names the field, the value and the range.
     """
+
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"actor_schedule": SCHEDULES, "critic_schedule": SCHEDULES}
 
     num_robots: int = 128
     """Robots that step side by side, over all devices."""

@@ -1,6 +1,8 @@
 """The configuration of a training run."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
 import jax
 
@@ -17,9 +19,30 @@ PRESETS = {"walk": ("undisturbed", WALK_PRESETS), "ppo": ("parallel", PPO_PRESET
 """Presets that a command line can choose from, and which is the default."""
 
 
+RENAMED = {
+    "walk.disturbance.": "walk.scenario.",
+    "walk.early_end_reward": "walk.min_reward",
+    "walk.x_limit_m": "walk.max_position_error_m",
+    "walk.damping": "walk.kd_scale",
+}
+"""Old to new names of keys; an old one that ends in a dot stands for all keys that begin with it."""
+
+
+def present_names(config: dict[str, Any]) -> dict[str, Any]:
+    """A flat configuration of an earlier version under the present names of its keys."""
+
+    def renamed(key: str) -> str:
+        old = next((old for old in RENAMED if key == old or (old.endswith(".") and key.startswith(old))), None)
+        return key if old is None else RENAMED[old] + key.removeprefix(old)
+
+    return {renamed(key): value for key, value in config.items()}
+
+
 @dataclass(frozen=True)
 class TrainConfig:
     """A training run."""
+
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"physics": ("auto", *TRAINING_HZ), "contacts": CONTACTS}
 
     speed: str = "1x"
     """Factor on the pelvis x of the reference motion, from "0x" to "4x"; "any" commands one after another."""

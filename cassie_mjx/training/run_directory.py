@@ -10,7 +10,7 @@ from typing import Any
 
 from cassie_mjx import cli
 from cassie_mjx.training import checkpoint, devices
-from cassie_mjx.training.config import TrainConfig
+from cassie_mjx.training.config import TrainConfig, present_names
 
 
 def claim(folder: Path, config: TrainConfig, provenance: dict[str, Any]) -> checkpoint.Restored | None:
@@ -69,7 +69,7 @@ def _begin(folder: Path, content: dict[str, Any]) -> None:
 
 def _held(path: Path) -> dict[str, Any]:
     try:
-        return json.loads(path.read_text())["config"]
+        return present_names(json.loads(path.read_text())["config"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{path} cannot be read ({error}); choose another run_dir.") from error
 

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from experiments import plots
-from experiments.tables import Result, Table
+from cassie_mjx.reporting import plots
+from cassie_mjx.reporting.results import Result
+from cassie_mjx.reporting.tables import Table
 
 CSS = """
 body { font: 1rem/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; margin: 0 auto; padding: 1rem;

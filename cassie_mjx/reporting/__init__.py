@@ -1,0 +1,1 @@
+"""Result files as tables, pictures and a web page; no JAX, no MuJoCo."""
