@@ -1,7 +1,7 @@
 """The scenarios of training: what is drawn at random for each robot, as part of the task."""
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -18,27 +18,33 @@ TERRAIN_HEIGHTS = 8
 """Heights above 0 that terrain is drawn from, evenly spaced: MuJoCo C compiles a model for each."""
 
 
+LARGEST = {"push_n": 1000, "push_backward": 1, "push_pause_s": 60, "terrain_m": 1, "delay_s": 0.1}
+"""The largest value of each range that can be asked for."""
+
+
 @dataclass(frozen=True)
 class ScenarioConfig:
     """How far robots are disturbed; the default is not at all. What is drawn is uniform from 0 to the value given."""
 
     push_n: float = 0.0
-    """Force of a push at the pelvis, N: horizontal, in any direction, for 0.2 s, one push after the other."""
+    """Force of a push at the pelvis, N: horizontal, in any direction, for 0.2 s, one push after the
+    other; 0 to 1000."""
     push_backward: float = 1.0
     """Factor on what a push has along -x, 0 to 1: backward, robots bear only weaker pushes than in other directions."""
     push_pause_s: float = 4.0
-    """Time from the start of the episode, or from the end of the push before, to a push, s."""
+    """Time from the start of the episode, or from the end of the push before, to a push, s; 0 to 60."""
     terrain_m: float = 0.0
-    """Height h of the terrain z = h sin x, m, one an episode."""
+    """Height h of the terrain z = h sin x, m, one an episode; 0 to 1."""
     delay_s: float = 0.0
-    """Age of the state that policy and PD loop see, s, one an episode; whole physics steps, rounded up."""
+    """Age of the state that policy and PD loop see, s, one an episode; whole physics steps, rounded up;
+    0 to 0.1."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for a value out of range."""
-        for field in fields(self):
-            value, largest = getattr(self, field.name), 1 if field.name == "push_backward" else 1000
+        for name, largest in LARGEST.items():
+            value = getattr(self, name)
             if not 0 <= value <= largest:
-                raise ValueError(f"{field.name}={value} must be from 0 to {largest}.")
+                raise ValueError(f"{name}={value} must be from 0 to {largest}.")
 
     @property
     def active(self) -> bool:

@@ -6,11 +6,12 @@ from typing import cast
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Key
 
 from cassie_mjx.control.network import Network, action
 from cassie_mjx.ppo import normalizer
-from cassie_mjx.ppo.types import Params, Policy
+from cassie_mjx.ppo.types import Normalizer, Params, Policy
 
 
 class MLP(nn.Module):
@@ -63,6 +64,28 @@ def acting(policy: Policy) -> Network:
 def mode(policy: Policy, observation: Float[Array, "*batch O"]) -> Float[Array, "*batch A"]:
     """Return the deterministic action, which is the mean."""
     return action(acting(policy), observation)
+
+
+def renormalize(policy: Policy, statistics: Normalizer) -> Policy:
+    """Return the policy with other input statistics and a first layer that makes up for them.
+
+    It is the same function of the observation, except where inputs were clipped, or are now.
+
+    Args:
+        policy: to be changed.
+        statistics: of the observations of another task.
+    """
+    # W z + b with z = (x - m) / s is W' z' + b' with z' = (x - m') / s': W' = W s' / s, b' = b + W (m' - m) / s.
+    before, after = policy.normalizer, statistics
+    mean, std = (np.asarray(x, np.float64) for x in (before.mean, normalizer.std(before)))
+    new_mean, new_std = (np.asarray(x, np.float64) for x in (after.mean, normalizer.std(after)))
+    first = next(iter(sorted(policy.actor)))
+    kernel, bias = (np.asarray(policy.actor[first][name], np.float64) for name in ("kernel", "bias"))
+    layer = {
+        "kernel": jnp.asarray(kernel * (new_std / std)[:, None], jnp.float32),
+        "bias": jnp.asarray(bias + ((new_mean - mean) / std) @ kernel, jnp.float32),
+    }
+    return policy._replace(normalizer=statistics, actor={**policy.actor, first: layer})
 
 
 def sample(

@@ -79,10 +79,20 @@ def random_policy_statistics(
         samples: observations wanted; the last rollout is used to its end, so a few more are taken.
     """
     random_policy = policy._replace(actor=jax.tree.map(jnp.zeros_like, policy.actor))
+    return policy_statistics(collect, random_policy, env_state, key, samples)
+
+
+def policy_statistics(
+    collect: Collect, policy: Policy, env_state: Any, key: Key[Array, ""], samples: int
+) -> Normalizer:
+    """Estimate the observations' mean and standard deviation from states that a policy visits, noise included.
+
+    Arguments as those of `random_policy_statistics`.
+    """
     normalizer = normalization.init(policy.normalizer.mean.shape[0])
     rollouts = 0
     while normalizer.samples < samples:
-        env_state, rollout = collect(random_policy, env_state, jax.random.fold_in(key, rollouts))
+        env_state, rollout = collect(policy, env_state, jax.random.fold_in(key, rollouts))
         normalizer = _update_normalizer(normalizer, rollout.observation)
         rollouts += 1
     return normalizer

@@ -101,6 +101,23 @@ def iteration_of(checkpoint: Path) -> int:
     return int(checkpoint.name.removeprefix(_PREFIX))
 
 
+def restore_last(directory: Path) -> tuple[Restored | None, list[str]]:
+    """The last checkpoint that is whole, and a sentence about each later one that is not; None without any checkpoint.
+
+    Raises:
+      ValueError: there are checkpoints, and none of them is whole.
+    """
+    damaged: list[str] = []
+    for checkpoint in reversed(_checkpoints(directory)):
+        try:
+            return restore(checkpoint), damaged
+        except ValueError as error:
+            damaged.append(str(error))
+    if damaged:
+        raise ValueError(f"{directory} holds no checkpoint that is whole; choose another run_dir. {' '.join(damaged)}")
+    return None, damaged
+
+
 def restore(checkpoint: Path) -> Restored:
     """Read a checkpoint that any platform wrote.
 
@@ -181,7 +198,8 @@ def _checkpointer() -> ocp.Checkpointer:
 
 
 def _checkpoints(directory: Path) -> list[Path]:
-    return sorted(path for path in directory.glob(f"{_PREFIX}*") if path.name.removeprefix(_PREFIX).isdigit())
+    found = (path for path in directory.glob(f"{_PREFIX}*") if path.name.removeprefix(_PREFIX).isdigit())
+    return sorted(found, key=iteration_of)
 
 
 def _remove_unfinished(directory: Path) -> None:
@@ -208,7 +226,7 @@ def _manifest(checkpoint: Path) -> dict[str, dict[str, Any]]:
 
 
 def _check(checkpoint: Path) -> None:
-    advice = f"remove {checkpoint.name} to go on from the checkpoint before it, if there is one."
+    advice = f"{checkpoint.name} is damaged."
     try:
         manifest = json.loads((checkpoint / _MANIFEST).read_text())
     except (OSError, ValueError) as error:

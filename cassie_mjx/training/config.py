@@ -58,8 +58,8 @@ class TrainConfig:
     reference: str = "walk"
     """Reference motion: a name that we ship, or a file."""
     init: str | None = None
-    """Policy to start from, with its input statistics: one that we ship, a .npz file, or a run's directory (its best);
-    null for none. Critic, optimiser and noise start anew."""
+    """Policy to start from: one that we ship, a .npz file, or a run's directory (its best); null for none. Critic,
+    optimiser, noise and input statistics start anew."""
     walk: WalkConfig = field(default_factory=WalkConfig)
     """The task."""
     ppo: PPOConfig = field(default_factory=PPOConfig)

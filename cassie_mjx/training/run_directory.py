@@ -13,8 +13,13 @@ from cassie_mjx.training import checkpoint, devices
 from cassie_mjx.training.config import TrainConfig, present_names
 
 
-def claim(folder: Path, config: TrainConfig, provenance: dict[str, Any]) -> checkpoint.Restored | None:
-    """Take the run directory for a resolved configuration, and read its last checkpoint if the run is to go on.
+def claim(
+    folder: Path, config: TrainConfig, provenance: dict[str, Any]
+) -> tuple[checkpoint.Restored | None, list[str]]:
+    """Take the run directory for a resolved configuration, and read its last whole checkpoint if the run is to go on.
+
+    Returns:
+      The checkpoint, if there is one, and sentences that its user should read: damaged checkpoints, other versions.
 
     Raises:
       ValueError: it holds a run already and `resume` is not set, or another run, or files of something else to resume;
@@ -28,7 +33,22 @@ def claim(folder: Path, config: TrainConfig, provenance: dict[str, Any]) -> chec
         raise ValueError(f"{folder} is not the same directory on all hosts; choose a run_dir that they share.")
     if devices.is_first() and not (folder / "config.json").exists():
         _begin(folder, {"config": wanted, "provenance": provenance})
-    return checkpoint.restore(found) if found else None
+    if not found:
+        return None, []
+    restored, damaged = checkpoint.restore_last(folder / "checkpoints")
+    notes = [f"{sentence} The run goes on from the checkpoint before it." for sentence in damaged]
+    if restored:
+        notes += changes(restored.record.get("provenance", {}), provenance)
+    return restored, notes
+
+
+def changes(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """A sentence about what a run was begun with and does not go on with: commit, Python, packages."""
+    pairs = [("commit", before.get("commit"), now["commit"]), ("Python", before.get("python"), now["python"])]
+    versions = before.get("versions", {})
+    pairs += [(name, versions.get(name), version) for name, version in now["versions"].items()]
+    differing = [f"{name} {old} then, {new} now" for name, old, new in pairs if old not in (None, new)]
+    return [f"The run was begun with other software: {'; '.join(differing)}."] if differing else []
 
 
 def resume_command() -> str:

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import jax
 import mujoco
@@ -20,7 +21,7 @@ from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents.policy import PolicyAgent, policy_step
-from cassie_mjx.agents.policy_file import save_policy
+from cassie_mjx.agents.policy_file import learner_policy, save_policy
 from cassie_mjx.evaluation.returns import walk_returns
 from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.motion.files import load_motion
@@ -32,7 +33,10 @@ from cassie_mjx.robot.model import ModelConfig
 from cassie_mjx.training import checkpoint, devices, divergence, run_directory
 from cassie_mjx.training.config import TrainConfig, resolve_config
 from cassie_mjx.training.loggers import JsonLines, TensorBoard, Terminal
-from cassie_mjx.training.trainer import IterationMetrics, RunState, Trainer, initial_policy
+from cassie_mjx.training.trainer import IterationMetrics, RunState, Trainer, initial_policy, unlike
+
+CLIPPED_SHARE = 0.01
+"""Share of a policy's inputs that may be clipped without a word."""
 
 
 @dataclass
@@ -57,6 +61,11 @@ class IntervalStats:
     ends: Counter[str] = field(default_factory=Counter)
     """Episodes that ended by each of `termination.Ends`."""
 
+    @classmethod
+    def of(cls, record: dict[str, Any]) -> "IntervalStats":
+        """As a checkpoint has them; nothing from one that has none."""
+        return cls(record.get("train_s", 0.0), record.get("iterations", 0), Counter(record.get("ends", {})))
+
 
 class Runner:
     """One process' part of a run: from its start or its last checkpoint to its end or a signal."""
@@ -72,23 +81,29 @@ class Runner:
         self.factor, speeds = speed_factors(config.speed)
         motion = stretch(load_motion(config.reference), self.factor)
         begun = checkpoint.latest(self.folder / "checkpoints") is not None
-        policy = None if begun else initial_policy(config)
+        init = None if begun else initial_policy(config)
         self.provenance = cli.provenance()
-        restored = run_directory.claim(self.folder, config, self.provenance)
+        restored, self.notes = run_directory.claim(self.folder, config, self.provenance)
         self.motion = restored.motion if restored else motion
         self.trainer = Trainer(config, self.motion)
-        self.run, self.counters = self.trainer.start(policy), Counters()
+        self.run, self.counters, self.interval = (
+            self.trainer.start(learner_policy(init) if init else None),
+            Counters(),
+            IntervalStats(),
+        )
         if restored:
             self.run = checkpoint.restore_into(self.run, restored.arrays)
             self.counters = Counters(**restored.record["counters"])
+            self.interval = IntervalStats.of(restored.record.get("interval", {}))
         self.saved = self.done if restored else None
+        self.begins = restored is None
+        self.notes += unlike(config, init, self.motion) if init else []
         self.terminal = Terminal(console, config.ppo.iterations, self.done)
         self.sinks = self._sinks() if devices.is_first() else ()
         self.law, self.speeds = config.walk.law, speeds
         self.eval_engine = make_physics("native", ModelConfig())
         motion = self.trainer.env.motion
         self.policy_step = jax.jit(partial(policy_step, self.law, motion))
-        self.interval = IntervalStats()
         self.diagnosed = bool(max(devices.exchange((self.folder / "nan").exists())))
 
     @property
@@ -105,7 +120,9 @@ class Runner:
         """Train until the last iteration or a signal, and say what came of it."""
         with Interruption() as interruption, self.terminal:
             self.terminal.say(f"{'Resuming' if self.done else 'Training'} in {self.folder}: {self._plan()}")
-            if self.run.learner.policy.normalizer.samples == 0:
+            for note in self.notes:
+                self.terminal.say(note)
+            if self.begins:
                 began = time.perf_counter()
                 self.run = jax.block_until_ready(self.trainer.gather_statistics(self.run))
                 self._count(time.perf_counter() - began)
@@ -120,7 +137,20 @@ class Runner:
                 f"Stopped and saved after iteration {self.done}. To go on:\n  {run_directory.resume_command()}"
             )
             sys.exit(128 + stopped)
+        self._warn_of_clipping()
         self._conclude()
+
+    def _warn_of_clipping(self) -> None:
+        """Say so if the networks do not see what robots sense: inputs beyond what their statistics let through."""
+        if jax.device_count() > 1:
+            return
+        clipped = self.trainer.clipped_inputs(self.run)
+        if clipped.mean() > CLIPPED_SHARE:
+            names = [line for line in self.law.observation.describe() if clipped[_slice(line)].max() > CLIPPED_SHARE]
+            self.terminal.say(
+                f"{clipped.mean():.1%} of the policy's inputs are clipped on its own task: {'; '.join(names)}. "
+                "Train from scratch, or from a policy whose inputs have about the same range."
+            )
 
     def _iterate(self) -> None:
         began, before = time.perf_counter(), self.run
@@ -206,7 +236,9 @@ class Runner:
         return 1 / max(ended, 1 / self.config.walk.episode_steps)
 
     def _save(self) -> None:
-        record = {"config": asdict(self.config), "counters": asdict(self.counters), "provenance": self.provenance}
+        interval = vars(self.interval) | {"ends": dict(self.interval.ends)}
+        record = {"config": asdict(self.config), "counters": asdict(self.counters), "interval": interval}
+        record["provenance"] = self.provenance
         state = devices.gather(self.run)
         if devices.is_first():
             checkpoint.save(self.folder / "checkpoints", self.done, state, self.motion, record)
@@ -229,6 +261,12 @@ class Runner:
             f"The policy: {best}\n"
             f"Next: python -m cassie_mjx.evaluate policy={best}"
         )
+
+
+def _slice(line: str) -> slice:
+    """Where an observation has what a line of its description begins with, such as "0:2"."""
+    start, stop = line.split()[0].split(":")
+    return slice(int(start), int(stop))
 
 
 class Interruption:

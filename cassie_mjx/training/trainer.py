@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy_file import learner_policy
@@ -17,7 +18,7 @@ from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.make import make_physics
 from cassie_mjx.physics.types import Physics
-from cassie_mjx.ppo import learner, rollout
+from cassie_mjx.ppo import learner, networks, normalizer, rollout
 from cassie_mjx.ppo.types import LearnerState, Policy, UpdateMetrics
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, steps_per_control
@@ -43,7 +44,7 @@ class IterationMetrics(NamedTuple):
     """Episodes that ended by each of `termination.Ends`; one may have ended by several."""
 
 
-def initial_policy(config: TrainConfig) -> Policy | None:
+def initial_policy(config: TrainConfig) -> NumpyPolicy | None:
     """The policy that `config.init` names, if it names one.
 
     Raises:
@@ -62,7 +63,22 @@ def initial_policy(config: TrainConfig) -> Policy | None:
         raise ValueError(f"init={config.init} has hidden layers of {list(widths)}; set ppo.hidden_sizes to that.")
     if saved.mirror and not config.walk.symmetric:
         raise ValueError(f"init={config.init} learned one step of the stride alone; set walk.symmetric=true.")
-    return learner_policy(saved)
+    learner_policy(saved)
+    return saved
+
+
+def unlike(config: TrainConfig, saved: NumpyPolicy, motion: ReferenceMotion) -> list[str]:
+    """Sentences about what the policy of `config.init` was trained with and this run is not, besides its speed."""
+    notes, kd_scale = [], float(saved.d_gain[0] / cassie.D_GAIN[0])
+    if not np.isclose(kd_scale, config.walk.kd_scale, rtol=1e-3):
+        notes.append(
+            f"init={config.init} was trained with {kd_scale:g} times the published D gains, this run has "
+            f"{config.walk.kd_scale:g} times."
+        )
+    ours, theirs = np.asarray(motion.qpos)[:, 1:], saved.reference_qpos[:, 1:]
+    if ours.shape != theirs.shape or np.abs(ours - theirs).max() > 1e-3:
+        notes.append(f"init={config.init} imitated another motion than reference={config.reference}.")
+    return notes
 
 
 class Trainer:
@@ -103,7 +119,7 @@ class Trainer:
     def start(self, policy: Policy | None = None) -> RunState:
         """An untrained learner, or one with this policy, and robots at the start of an episode.
 
-        Without a policy the learner knows no input statistics yet; see `gather_statistics`.
+        The input statistics are not those of the task yet; see `gather_statistics`.
         """
         init_key, reset_key, _, run_key = self._keys()
         env_state = self.env.reset(reset_key)
@@ -116,11 +132,24 @@ class Trainer:
         return self._placed(RunState(state, env_state, jax.random.key_data(run_key)))
 
     def gather_statistics(self, run: RunState) -> RunState:
-        """The run with the input statistics of the states that a random policy visits."""
+        """The run with the input statistics of the states that a random policy visits, or the policy begun with.
+
+        Such a policy is the same function of the state afterwards, wherever its inputs were not clipped.
+        """
         _, _, statistics_key, _ = self._keys()
         policy, samples = run.learner.policy, self.config.ppo.normalizer_samples
-        normalizer = rollout.random_policy_statistics(self.collect, policy, run.env, statistics_key, samples)
-        return self._placed(run._replace(learner=run.learner._replace(policy=policy._replace(normalizer=normalizer))))
+        begun_with = policy.normalizer.samples > 0
+        visit = rollout.policy_statistics if begun_with else rollout.random_policy_statistics
+        statistics = visit(self.collect, policy, run.env, statistics_key, samples)
+        policy = networks.renormalize(policy, statistics) if begun_with else policy._replace(normalizer=statistics)
+        return self._placed(run._replace(learner=run.learner._replace(policy=policy)))
+
+    def clipped_inputs(self, run: RunState) -> np.ndarray:
+        """Share of each input of the policy that is clipped, over a rollout of its own task, [O]."""
+        collect_key, _ = iteration_keys(run)
+        _, experience = self.collect(run.learner.policy, run.env, collect_key)
+        inputs = normalizer.normalize(run.learner.policy.normalizer, jnp.asarray(experience.observation))
+        return np.asarray(jnp.abs(inputs) >= normalizer.CLIP).mean(axis=(0, 1))
 
     def _placed(self, run: RunState) -> RunState:
         return run if self._places is None else jax.device_put(run, self._places)
