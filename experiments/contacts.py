@@ -76,7 +76,7 @@ def main(config: ContactsConfig) -> None:
         for push_n in (0.0, config.push_n):
             qpos = trajectories(name, push_n, config.seconds)
             for pair, distance in sorted(smallest_distances(qpos).items(), key=lambda item: item[1]):
-                kept = "walking" if pair in WALKING_PAIRS else "referee" if "hip-pitch" not in pair else "published"
+                kept = "walking" if pair in WALKING_PAIRS else "full" if "hip-pitch" not in pair else "published"
                 rows.append(
                     {
                         "subject": f"controller:{name}",

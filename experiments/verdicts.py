@@ -1,7 +1,7 @@
 """The same trials of a policy on MJX and on MuJoCo C: `python -m experiments.verdicts policy=1x out=FILE.json`.
 
 A grid of 528 cells, chosen before any was walked: pushes, terrain and delays from harmless to hopeless. Both engines
-run at 2 kHz with the referee's contacts, from the same states; MJX in float32, and with a tangent plane under each leg
+run at 2 kHz with full contacts, from the same states; MJX in float32, and with a tangent plane under each leg
 where MuJoCo C has a height field. A trial at the border, where the next level of the scenario changes the outcome,
 may well end otherwise; no other should.
 """
@@ -83,7 +83,7 @@ def at_border(verdicts: np.ndarray) -> np.ndarray:
 
 
 def row(kind: str, native: np.ndarray, mjx: np.ndarray, border: np.ndarray) -> dict[str, Any]:
-    """How two engines' verdicts on the same cells, and the referee's border, compare."""
+    """How two engines' verdicts on the same cells, and the border of MuJoCo C, compare."""
     differ = native != mjx
     return {
         "kind": kind,

@@ -245,7 +245,7 @@ def test_robots_far_from_the_reference_end_their_episode_and_the_critic_is_told_
     after = env.step(state, np.zeros((ROBOTS, 10)), jax.random.key(0))
     ended = np.asarray(after.terminated)
     np.testing.assert_array_equal(ended, abs(moved) > 0.3)
-    np.testing.assert_array_equal(after.metrics["strayed"], ended)
+    np.testing.assert_array_equal(after.metrics["position_error"], ended)
     np.testing.assert_allclose(after.final_privileged[:, 0], moved / 0.25, atol=0.05)
     np.testing.assert_array_equal(after.privileged, np.where(ended[:, None], 0, after.final_privileged))
 

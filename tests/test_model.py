@@ -153,7 +153,7 @@ def test_visual_geometry_weighs_nothing_and_touches_nothing(scene):
 
 @pytest.mark.parametrize("contacts", CONTACTS)
 def test_contacts_are_the_chosen_pairs(contacts):
-    touching = {"walking": 2, "referee": 16, "published": 18}
+    touching = {"walking": 2, "full": 16, "published": 18}
     assert load_model(ModelConfig(contacts=contacts)).npair == touching[contacts]
     assert load_mjx_model(ModelConfig(contacts=contacts)).npair == touching[contacts]
 
@@ -247,7 +247,7 @@ def test_a_timestep_that_does_not_divide_the_control_step(physics_hz):
 def test_unknown_choices_name_the_known_ones():
     with pytest.raises(ValueError, match="scene='moon' is not known; choose one of flat, terrain"):
         ModelConfig(scene="moon")
-    with pytest.raises(ValueError, match="contacts='all' is not known; choose one of walking, referee, published"):
+    with pytest.raises(ValueError, match="contacts='all' is not known; choose one of walking, full, published"):
         ModelConfig(contacts="all")
 
 

@@ -168,8 +168,8 @@ def test_large_batches_finish(batch):
     program = f"""
 import jax, numpy as np
 jax.config.update("jax_compilation_cache_dir", {str(jax.config.jax_compilation_cache_dir)!r})
-from cassie_mjx import robot
-from cassie_mjx.model import MJX_TRAINING, load_mjx_model, standing
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model, standing
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.types import Scenario
 physics = MjxPhysics(load_mjx_model(MJX_TRAINING))

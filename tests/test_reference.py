@@ -62,7 +62,7 @@ def test_sample_under_jit_is_sample_on_numpy(motion):
     time = phase + len(motion.qpos) * stride
     expected = sample(motion, time)
     with jax.numpy_dtype_promotion("strict"):
-        compiled = jax.jit(sample)(in_jax(motion), phase, stride)
+        compiled = jax.jit(sample)(in_jax(motion), time)
         closed_over = jax.jit(lambda k: sample(motion, k))(time)
     for found in (compiled, closed_over):
         assert found[0].dtype == jnp.float32

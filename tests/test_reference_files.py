@@ -1,6 +1,5 @@
 """Files of motions, ours and the published format: there and back again, and what is refused."""
 
-from dataclasses import replace
 from typing import Any
 
 import jax
@@ -42,10 +41,10 @@ def spoil(motion, **changes):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (lambda m: replace(m, qpos=m.qpos[:, :-1]), r"shapes \(22, 34\), \(22, 32\), \(\); a motion has \[N, 35\]"),
+        (lambda m: m._replace(qpos=m.qpos[:, :-1]), r"shapes \(22, 34\), \(22, 32\), \(\); a motion has \[N, 35\]"),
         (lambda m: ReferenceMotion(m.qpos[:1], m.qvel[:1], m.stride_length), "N at least 2"),
         (lambda m: spoil(m, qvel=((3, 4), np.nan)), "qvel has values that are not finite numbers"),
-        (lambda m: replace(m, stride_length=np.array(np.inf)), "stride_length has values that are not finite"),
+        (lambda m: m._replace(stride_length=np.array(np.inf)), "stride_length has values that are not finite"),
         (
             lambda m: spoil(m, qpos=((7, ROTATION), 0.9)),
             "no motion of Cassie: row 7 has a pelvis quaternion of norm 1.8",

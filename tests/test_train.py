@@ -133,7 +133,13 @@ def test_a_run_holds_everything(unbroken):
     assert line["train/samples"] == 6 * 32
     assert line["time/train_s"] > 0
     assert {"eval/return_plain", "eval/return_weighted", "time/physics_steps_per_s"} <= line.keys()
-    assert {"train/nan", "train/fallen", "train/low_reward", "train/strayed", "learner/action_std"} <= line.keys()
+    assert {
+        "train/nan",
+        "train/fallen",
+        "train/low_reward",
+        "train/position_error",
+        "learner/action_std",
+    } <= line.keys()
     shares = [line[f"time/{name}_share"] for name in ("physics", "learner", "eval")]
     assert min(shares) > 0
     assert sum(shares) < 1

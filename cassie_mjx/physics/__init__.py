@@ -1,1 +1,1 @@
-"""Two engines behind one protocol: MJX for accelerators, MuJoCo C for CPUs and as the referee."""
+"""Two engines behind one protocol: MJX for accelerators, MuJoCo C for CPUs and for every headline figure."""
