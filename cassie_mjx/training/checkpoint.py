@@ -79,6 +79,8 @@ def save(directory: Path, iteration: int, state: Any, motion: ReferenceMotion, r
         (partial / "record.json").write_text(json.dumps({"format": FORMAT, **record}, indent=1))
         (partial / _MANIFEST).write_text(json.dumps(_manifest(partial), indent=1))
         _sync(partial)
+        if final.exists():  # a damaged one, which the run went back over
+            _discard(final)
         partial.rename(final)
         _sync_one(directory)
     except OSError as error:
