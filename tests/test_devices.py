@@ -190,7 +190,7 @@ def with_two_processes_everything_is_shared(folder):
         resolve_config(TrainConfig(physics="native"))
     config, private = resolve_config(TrainConfig(physics="mjx", resume=True)), Path(folder) / str(me)
     assert run_directory.claim(Path(folder) / "shared", config, {"process": me}) == (None, [])
-    assert run_directory.claim(private, config, {}) is None
+    assert run_directory.claim(private, config, {}) == (None, [])
     assert json.loads((Path(folder) / "shared" / "config.json").read_text())["provenance"] == {"process": 0}
     assert private.exists() == (me == 0)
     if me == 0:
