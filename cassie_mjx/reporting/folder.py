@@ -1,5 +1,6 @@
 """A web page of the evaluation files in any folder."""
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -20,6 +21,8 @@ def evaluations(folder: Path) -> tuple[list[Result], list[str]]:
     found, skipped = [], []
     for path in sorted(folder.rglob("*.json")):
         name = path.relative_to(folder).as_posix()
+        if not path.is_file() or any(part.startswith(".") for part in path.relative_to(folder).parts):
+            continue
         try:
             result = read(folder, name)
             with blaming(path):
@@ -32,19 +35,28 @@ def evaluations(folder: Path) -> tuple[list[Result], list[str]]:
 
 
 def by_agent(results: Sequence[Result]) -> dict[str, list[Result]]:
-    """The results of each agent; a file of several counts for each of them, with its own rows alone."""
+    """The results of each agent on each engine, seeds together; a file of several counts with its own rows."""
     agents: dict[str, list[Result]] = {}
     for result in results:
         rows = [row for row in result.content["rows"] if {"subject", "quantity", "value"} <= row.keys()]
         for name in dict.fromkeys(row["subject"] for row in rows):
             own = [row for row in rows if row["subject"] == name]
-            agents.setdefault(name, []).append(Result(result.name, result.content | {"rows": own}))
+            engine = " on MJX" if result.provenance.get("physics") == "mjx" else ""
+            agents.setdefault(re.sub(r"-seed\d+$", "", name) + engine, []).append(
+                Result(result.name, result.content | {"rows": own})
+            )
     return agents
 
 
 def beside_the_paper(agents: Mapping[str, Sequence[Result]]) -> Table:
     """The paper's experiments that one of the agents has been through; several files of an agent are a mean."""
-    header = ("MuJoCo C, 2 kHz", "paper: controller", "paper: policy", *(f"`{name}`" for name in agents), "command")
+    header = (
+        "2 kHz; MuJoCo C unless said",
+        "paper: controller",
+        "paper: policy",
+        *(f"`{name}`" for name in agents),
+        "command",
+    )
     rows = []
     for row in ROWS:
         cells = [cell(row, results) for results in agents.values()]
