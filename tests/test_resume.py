@@ -69,6 +69,15 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(tmp_path):
         session(tmp_path, evaluate_every=1, resume=True)
 
 
+def test_a_save_leaves_no_damaged_checkpoint_of_a_later_iteration(tmp_path):
+    """A run that went back from 4 to 2 and is stopped at 3 keeps two that are whole."""
+    for number in (2, 4):
+        checkpoint.save(tmp_path, number, {"x": np.ones(2)}, MOTION, {})
+    (tmp_path / "step_000004" / "record.json").write_text("{")
+    checkpoint.save(tmp_path, 3, {"x": np.ones(2)}, MOTION, {})
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["step_000002", "step_000003"]
+
+
 def test_other_software_is_named():
     now = {"commit": "b", "python": "3.11", "versions": {"jax": "0.9.2", "numpy": "2.4"}}
     assert changes(now, now) == []

@@ -51,7 +51,7 @@ class Restored(NamedTuple):
 
 
 def save(directory: Path, iteration: int, state: Any, motion: ReferenceMotion, record: dict[str, Any]) -> Path:
-    """Write a checkpoint whole or not at all, then remove all but the last `KEPT`.
+    """Write a checkpoint whole or not at all, then remove all but the last `KEPT`, and any of a later iteration.
 
     Args:
       directory: of the run's checkpoints; made if missing.
@@ -79,8 +79,9 @@ def save(directory: Path, iteration: int, state: Any, motion: ReferenceMotion, r
         (partial / "record.json").write_text(json.dumps({"format": FORMAT, **record}, indent=1))
         (partial / _MANIFEST).write_text(json.dumps(_manifest(partial), indent=1))
         _sync(partial)
-        if final.exists():  # a damaged one, which the run went back over
-            _discard(final)
+        # A run begins at its last whole checkpoint, so one of this iteration or a later one is damaged.
+        for damaged in (old for old in _checkpoints(directory) if iteration_of(old) >= iteration):
+            _discard(damaged)
         partial.rename(final)
         _sync_one(directory)
     except OSError as error:
