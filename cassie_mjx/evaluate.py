@@ -35,11 +35,8 @@ class EvaluateConfig(AgentConfig):
     """Result file."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError for a suite or engine that is not known."""
-        for name, valid in (("suite", (*SUITES, "all")), ("physics", ENGINES)):
-            value = getattr(self, name)
-            if value not in valid:
-                raise ValueError(f"{name}={value!r} is not known; choose one of {', '.join(valid)}.")
+        """Raise ValueError for a schedule, suite or engine that is not known."""
+        cli.check_choices(self)
 
 
 def main(config: EvaluateConfig) -> None:

@@ -8,14 +8,12 @@ from typing import ClassVar
 from cassie_mjx import cli
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 
-WHICH = ("best", "last")
-
 
 @dataclass(frozen=True)
 class ExportConfig:
     """What to export."""
 
-    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"which": WHICH}
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"which": ("best", "last")}
 
     run: str
     """Directory of a training run."""
@@ -24,11 +22,13 @@ class ExportConfig:
     which: str = "best"
     """"best": of the highest return by the reward it learned from, under disturbances the last; "last": the last."""
 
+    def __post_init__(self) -> None:
+        """Raise ValueError for a choice that is not known."""
+        cli.check_choices(self)
+
 
 def main(config: ExportConfig) -> None:
     """Copy a run's policy to a file of its own, checked."""
-    if config.which not in WHICH:
-        raise ValueError(f"which={config.which!r} is not known; choose one of {', '.join(WHICH)}.")
     out, source = cli.check_writable(config.out), Path(config.run) / f"{config.which}.npz"
     policy = NumpyPolicy.load(source)
     partial = out.with_name(out.name + ".partial")

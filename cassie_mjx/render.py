@@ -57,6 +57,7 @@ class RenderConfig(AgentConfig):
 
     def __post_init__(self) -> None:
         """Raise ValueError for a film that cannot be made."""
+        cli.check_choices(self)
         suffix, step_ms = Path(self.out).suffix, 1000 / ModelConfig().physics_hz
         for name, valid, hint in (
             ("out", suffix in ENCODINGS, f"name a file that ends in {' or '.join(ENCODINGS)}"),
@@ -66,7 +67,6 @@ class RenderConfig(AgentConfig):
             ("push_at", 0 <= self.push_at < math.inf, "use a time of at least 0 s"),
             ("terrain", 0 <= self.terrain < math.inf, "use a height of at least 0 m"),
             ("delay", self.delay >= 0 and self.delay % step_ms == 0, f"use a multiple of {step_ms:g} ms"),
-            ("camera", self.camera in CAMERAS, f"choose one of {', '.join(CAMERAS)}"),
             ("width", 16 <= self.width <= 4096 and self.width % 2 == 0, "use an even number from 16 to 4096"),
             ("height", 16 <= self.height <= 4096 and self.height % 2 == 0, "use an even number from 16 to 4096"),
             ("fps", 1 <= self.fps <= 1000, "use 1 to 1000"),

@@ -147,7 +147,7 @@ class LearningConfig:
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"study": tuple(STUDIES)}
 
     study: str = "walking"
-    """One of `STUDIES`."""
+    """What is compared with what; `STUDIES` has the variants and seeds of each."""
     runs: str = "runs/studies"
     """Directory of the run directories, <variant>-seed<seed>."""
     out: str = "learning.json"
@@ -157,8 +157,7 @@ class LearningConfig:
 
     def __post_init__(self) -> None:
         """Raise ValueError for a study that is not known."""
-        if self.study not in STUDIES:
-            raise ValueError(f"study={self.study!r} is not known; choose one of {', '.join(STUDIES)}.")
+        cli.check_choices(self)
 
 
 def is_finished(folder: Path) -> bool:

@@ -1,18 +1,22 @@
 """The picture of the robot in the README: `python -m experiments.portrait out=docs/cassie.png`."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import mujoco
 from matplotlib.image import imsave
 
 from cassie_mjx import cli
-from cassie_mjx.evaluation.draw import load_scene, open_renderer
+from cassie_mjx.evaluation.draw import CAMERAS, load_scene, open_renderer
 from cassie_mjx.motion.files import load_motion
 
 
 @dataclass(frozen=True)
 class PortraitConfig:
     """What to draw."""
+
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"camera": CAMERAS}
 
     out: str = "cassie.png"
     """Picture file."""
@@ -24,6 +28,10 @@ class PortraitConfig:
     """Pixels."""
     height: int = 720
     """Pixels."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a camera that is not known."""
+        cli.check_choices(self)
 
 
 def main(config: PortraitConfig) -> None:

@@ -5,9 +5,11 @@ stride is kept of the robot whose stride is nearest to half a metre, and made ex
 it is random. With `plot=FILE.png` the motion is drawn as curves, with `strip=FILE.png` as pictures.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -38,6 +40,8 @@ FRAMES, FRAME_HEIGHT, FRAME_WIDTH = 8, 300, 190
 class RecordConfig:
     """What to record."""
 
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"preset": tuple(CONTROLLERS)}
+
     preset: str = "compliant"
     """"stiff" or "compliant", a preset of the walker."""
     speeds: tuple[float, ...] = (0.46, 0.49, 0.52, 0.55, 0.58, 0.61, 0.64, 0.67, 0.70, 0.73, 0.76, 0.79)
@@ -53,8 +57,7 @@ class RecordConfig:
 
     def __post_init__(self) -> None:
         """Raise ValueError for a recording that cannot be made."""
-        if self.preset not in CONTROLLERS:
-            raise ValueError(f"preset={self.preset!r} is not known; choose one of {', '.join(CONTROLLERS)}.")
+        cli.check_choices(self)
         if not self.speeds:
             raise ValueError("speeds is empty; name at least one speed in m/s.")
         if self.strides < 43:

@@ -7,10 +7,10 @@ parameters as good again says something; with spread=0 it starts there, to impro
 """
 
 import importlib.metadata
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import cma
 import jax
@@ -80,6 +80,8 @@ SMALLEST = {
 class TuneConfig:
     """One search."""
 
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"preset": tuple(CONTROLLERS)}
+
     preset: str = "compliant"
     """"stiff" or "compliant". The compliant one keeps its gains, which are the published ones."""
     generations: int = 20
@@ -95,8 +97,7 @@ class TuneConfig:
 
     def __post_init__(self) -> None:
         """Raise ValueError for a search that cannot be made."""
-        if self.preset not in CONTROLLERS:
-            raise ValueError(f"preset={self.preset!r} is not known; choose one of {', '.join(CONTROLLERS)}.")
+        cli.check_choices(self)
         for name, least in (("generations", 1), ("population", 4), ("spread", 0), ("seed", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"{name}={getattr(self, name)} is too small; it must be at least {least}.")

@@ -1,21 +1,19 @@
 """Command lines as dataclasses, and results with their provenance."""
 
-import dataclasses
-import importlib
 import json
 import os
 import re
 import subprocess
 import sys
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import ClassVar
 
 import pytest
 
 from cassie_mjx import cli
-from cassie_mjx.cli import main as console
-from cassie_mjx.cli.explain import field_docs
 
 
 @dataclass(frozen=True)
@@ -23,6 +21,25 @@ class Example:
     out: str = "a.json"
     robots: int = 3
     rates: tuple[int, ...] = (500, 1000)
+
+
+@dataclass(frozen=True)
+class Legs:
+    number: int = 2
+    lengths: tuple[float, ...] = (1.0,)
+    colour: str = "red"
+
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"colour": ("red", "green")}
+
+
+@dataclass(frozen=True)
+class Animal:
+    name: str
+    legs: Legs = field(default_factory=Legs)
+    tail: tuple[int, int] | None = None
+
+
+LEGS = {"legs": cli.Group("two", {"two": Legs(), "spider": Legs(8, (0.5, 0.25), "green")})}
 
 
 def test_parse_reads_values_of_their_types():
@@ -56,6 +73,107 @@ def test_parse_refuses_in_one_sentence(argument, sentence):
     with pytest.raises(ValueError, match=re.escape(sentence)) as raised:
         cli.parse(Example, [argument])
     assert len(str(raised.value).splitlines()) == 1
+
+
+def test_nested_keys_count_on_top_of_presets_wherever_they_stand():
+    spider = Legs(8, (0.5, 0.25), "green")
+    assert cli.parse(Animal, ["name=a"], LEGS) == Animal("a")
+    assert cli.parse(Animal, ["legs.number=6", "name=a", "legs=spider"], LEGS) == Animal("a", replace(spider, number=6))
+    assert cli.parse(Animal, ["name=a", "legs=spider", "legs.lengths=1,2"], LEGS).legs.lengths == (1.0, 2.0)
+    assert cli.parse(Animal, ["name=a", "legs.number=3", "legs.number=4"]).legs.number == 4
+    tails = {"1,2": (1, 2), "[1,2]": (1, 2), "null": None}
+    assert {text: cli.parse(Animal, ["name=a", f"tail={text}"]).tail for text in tails} == tails
+
+
+NAMES = ["a b/x.npz", "Läufer=1.npz", "blend:1x,2x", "runs/1-seed0", "1x", "'@a'", "a\\b", ""]
+
+
+@pytest.mark.parametrize("text", NAMES)
+def test_text_is_taken_as_it_stands(text):
+    assert cli.parse(Example, [f"out={text}"]).out == text.strip("'")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ([], "name must be given, as in name=..."),
+        (["name=a", "legs=snake"], "legs=snake is not known; choose one of two, spider."),
+        (["name=a", "legs=spidr"], "legs=spidr is not known; choose one of two, spider. Did you mean spider?"),
+        (["legs.colour=gren"], "legs.colour=gren is not known; choose one of red, green. Did you mean green?"),
+        (["legs.toes=5"], "'legs.toes' is not a key; the keys are number, lengths, colour."),
+        (["nam=a"], "'nam' is not a key; the keys are name, legs, tail. Did you mean name?"),
+        (["number=3"], "'number' is not a key; the keys are name, legs, tail. Did you mean legs.number?"),
+        (["legs.number=2,3"], "could not be converted to Integer. -m legs.number=2,3 runs one after another."),
+        (["legs.number=null"], "legs.number=null: "),
+        (["name=${nothing}"], "name=${nothing}: Interpolation key 'nothing' not found"),
+        (["--name=a"], "'--name' is not a key; the keys are name, legs, tail. Did you mean name?"),
+    ],
+)
+def test_mistakes_name_what_there_is(arguments, sentence):
+    with pytest.raises(ValueError, match=re.escape(sentence)) as raised:
+        cli.parse(Animal, arguments, LEGS)
+    assert len(str(raised.value).splitlines()) == 1
+
+
+def test_a_choice_is_checked_where_a_program_makes_it_too():
+    with pytest.raises(ValueError, match="^colour=blue is not known; choose one of red, green.$"):
+        cli.check_choices(Legs(colour="blue"))
+    cli.check_choices(Legs(colour="green"))
+
+
+def run(monkeypatch, *arguments, renamed=None):
+    seen = []
+    monkeypatch.setattr(sys, "argv", ["animals", *arguments])
+    cli.run(seen.append, Animal, LEGS, renamed)
+    return seen
+
+
+def test_old_names_of_keys_work_and_say_the_new_ones(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    renamed = {"title": "name", "feet.": "legs."}
+    assert run(monkeypatch, "title=a", "feet.number=4", renamed=renamed) == [Animal("a", Legs(4))]
+    assert capsys.readouterr().err == "title is now called name.\nfeet.number is now called legs.number.\n"
+    seen = run(monkeypatch, "-m", "title=a", "feet.number=4,5", renamed=renamed)
+    assert [each.legs.number for each in seen] == [4, 5]
+    assert len(capsys.readouterr().err.splitlines()) == 2, "once, not for each job"
+    with pytest.raises(SystemExit, match="2"):
+        run(monkeypatch, "feet.toes=4", renamed=renamed)
+    assert "error: 'legs.toes' is not a key; the keys are number," in capsys.readouterr().err
+
+
+def test_a_sweep_reads_values_as_a_single_command_does(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    arguments = ["name='a b','Läufer=1.npz','c,d',null1", "legs=spider", "legs.lengths=[1,2]", "tail=null"]
+    seen = run(monkeypatch, "-m", *arguments)
+    assert [each.name for each in seen] == ["a b", "Läufer=1.npz", "c,d", "null1"]
+    assert {(each.legs.number, each.legs.lengths, each.tail) for each in seen} == {(8, (1.0, 2.0), None)}
+
+
+def test_a_job_of_a_sweep_sees_the_command_that_was_typed(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    line, seen = ["cassie-mjx train", "-m", "name=a,b"], []
+    monkeypatch.setattr(sys, "argv", line)
+    cli.run(lambda _: seen.append((list(sys.argv), cli.provenance()["command"])), Animal, LEGS)
+    assert seen == 2 * [(line, "cassie-mjx train -m name=a,b")]
+    assert sys.argv is line
+
+
+def test_a_sweep_with_an_unknown_key_starts_no_job(monkeypatch, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        run(monkeypatch, "-m", "name=a,b", "leg=spider")
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "error: 'leg' is not a key; the keys are name, legs, tail. Did you mean legs?"
+
+
+def test_options_of_a_launcher_are_listed(monkeypatch, capsys):
+    run(monkeypatch, "name=a", "hydra/launcher=basic", "--cfg", "hydra", "-p", "hydra.launcher")
+    assert "basic_launcher.BasicLauncher" in capsys.readouterr().out
+
+
+def test_provenance_has_a_command_that_a_shell_reads(monkeypatch):
+    for first, begins in (("/a/cassie_mjx/train.py", "python -m cassie_mjx.train"), ("cassie-mjx train", None)):
+        monkeypatch.setattr(sys, "argv", [first, "speed=1x", "init=a b.npz"])
+        assert cli.provenance()["command"] == f"{begins or first} speed=1x 'init=a b.npz'"
 
 
 def test_a_command_ends_with_one_sentence_and_a_status(tmp_path):
@@ -132,60 +250,3 @@ def test_hardware_names_what_jax_computes_on(monkeypatch, backend, kinds, named)
 def test_provenance_leaves_jax_alone_where_nothing_uses_it():
     program = "import sys; from cassie_mjx import cli; cli.provenance(); assert 'jax' not in sys.modules"
     subprocess.run([sys.executable, "-c", program], check=True)
-
-
-ROOT = Path(__file__).parents[1]
-COMMANDS = ("train", "evaluate", "render", "view", "export")
-EXPERIMENTS = sorted(path.stem for path in (ROOT / "experiments").glob("*.py") if "cli.run(main, " in path.read_text())
-
-
-@pytest.mark.parametrize(
-    "name", [*(f"cassie_mjx.{each}" for each in COMMANDS), *(f"experiments.{e}" for e in EXPERIMENTS)]
-)
-def test_help_explains_every_key(monkeypatch, capsys, name):
-    module = importlib.import_module(name)
-    config_class = next(
-        value
-        for key, value in vars(module).items()
-        if key.endswith("Config") and f"cli.run(main, {key}" in Path(str(module.__file__)).read_text()
-    )
-    monkeypatch.setattr(sys, "argv", [name, "--help"])
-    cli.run(module.main, config_class, {"walk": cli.Group("a", {"a": 1})} if name.endswith("train") else None)
-    shown = capsys.readouterr().out
-    for key, text in field_docs(config_class).items():
-        assert f"  {key}=" in shown or f"  {key}." in shown
-        assert text.split()[0] in shown
-    assert {field.name for field in dataclasses.fields(config_class)} == field_docs(config_class).keys()
-
-
-def test_help_shows_defaults_choices_and_nested_keys(monkeypatch, capsys):
-    from cassie_mjx.training.config import PRESETS, TrainConfig
-
-    monkeypatch.setattr(sys, "argv", ["train", "-h"])
-    cli.run(print, TrainConfig, {key: cli.Group(*presets) for key, presets in PRESETS.items()})
-    shown = " ".join(capsys.readouterr().out.split())
-    for part in (
-        "walk=undisturbed Presets: undisturbed, robust.",
-        "ppo.hidden_sizes=256,256",
-        "ppo.target_kl=0.05",
-        "walk.scenario.push_n=0.0 Force of a push at the pelvis, N",
-        "Choices: auto, native, mjx.",
-        "init=null",
-    ):
-        assert part in shown
-
-
-def test_the_console_script_lists_and_runs_the_commands(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["cassie-mjx"])
-    console.main()
-    shown = capsys.readouterr().out
-    assert all(f"  {name}" in shown for name in COMMANDS)
-    monkeypatch.setattr(sys, "argv", ["cassie-mjx", "export", "--help"])
-    console.main()
-    assert "  run=..." in capsys.readouterr().out
-    monkeypatch.setattr(sys, "argv", ["cassie-mjx", "fly"])
-    with pytest.raises(SystemExit, match="2"):
-        console.main()
-    assert (
-        capsys.readouterr().err == f"error: 'fly' is not a command; the commands are {', '.join(console.COMMANDS)}.\n"
-    )

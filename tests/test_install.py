@@ -36,6 +36,13 @@ def test_the_wheel_finds_its_robot(installed, tmp_path):
     assert xml.startswith(str(installed))
 
 
+def test_the_wheel_has_the_console_script_and_its_types(installed, tmp_path):
+    assert (installed / "cassie_mjx" / "py.typed").is_file()
+    program = "import runpy, sys; sys.argv = ['cassie-mjx']; runpy.run_path({!r}, run_name='__main__')"
+    script = program.format(str(installed / "bin" / "cassie-mjx"))
+    assert run_installed(installed, tmp_path, script).startswith("  report")
+
+
 def test_the_wheel_finds_its_policy(installed, tmp_path):
     program = "from cassie_mjx.agents import make as e; print(e.__file__, e.make_agent('1x').provenance['seed'])"
     module, seed = run_installed(installed, tmp_path, program).split()

@@ -166,10 +166,10 @@ def test_the_command_says_how_it_went(drawing, tmp_path, monkeypatch, capsys, ho
     [
         ("out=walk.avi", r"out=walk\.avi cannot be filmed; name a file that ends in \.mp4 or \.gif\."),
         ("out=walk", r"name a file that ends in \.mp4 or \.gif"),
-        ("camera=top", "camera=top cannot be filmed; choose one of three-quarter, side, front"),
+        ("camera=top", "camera=top is not known; choose one of three-quarter, side, front"),
         ("seconds=0", r"seconds=0\.0 cannot be filmed; use a duration above 0 s"),
         ("seconds=inf", "seconds=inf cannot be filmed"),
-        ("push=10", r"push=\[10\.0\] cannot be filmed; name two forces in N, such as push=0,50"),
+        ("push=10", r"push=\(10\.0,\) cannot be filmed; name two forces in N, such as push=0,50"),
         ("push=10,nan", "name two forces in N"),
         ("push_at=-1", "use a time of at least 0 s"),
         ("terrain=-0.1", "use a height of at least 0 m"),

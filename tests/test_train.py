@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -24,7 +25,7 @@ from cassie_mjx.motion.command import speed_factor, speed_factors
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.ppo.config import PPO_PRESETS
-from cassie_mjx.training import checkpoint, runner
+from cassie_mjx.training import checkpoint, run_directory, runner
 from cassie_mjx.training.config import PRESETS, RENAMED, TrainConfig, resolve_config
 from cassie_mjx.training.loggers import Terminal
 from cassie_mjx.training.runner import Runner
@@ -340,7 +341,7 @@ def test_a_sweep_runs_every_combination(monkeypatch, tmp_path):
         ("physics_hz=300", "physics_hz=300 does not divide"),
         ("evaluate_every=0", "evaluate_every=0 must be at least 1."),
         ("ppo.clip_epsilon=-1", "clip_epsilon is -1.0; it must be greater than 0."),
-        ("walk.reward=song", "reward='song' is not known; choose one of plain, weighted."),
+        ("walk.reward=song", "walk.reward=song is not known; choose one of plain, weighted."),
     ],
 )
 def test_a_wrong_command_line_is_refused_in_one_sentence(monkeypatch, capsys, argument, sentence):
@@ -363,6 +364,32 @@ def test_a_wrong_sweep_is_refused_in_one_sentence(monkeypatch, capsys, arguments
         command(monkeypatch, print, "-m", *arguments)
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"error: {sentence}")
+
+
+def test_a_sweep_trains_one_run_after_another(monkeypatch, tmp_path, capsys):
+    def train_quietly(asked):
+        Runner(asked, Console(file=io.StringIO())).train()
+
+    monkeypatch.chdir(tmp_path)
+    small = [f"ppo.{name}={getattr(tiny.TINY, name)}" for name in ("num_robots", "num_steps", "iterations")]
+    small += ["ppo.minibatch_size=16", "ppo.updates_per_iteration=3", "ppo.normalizer_samples=64"]
+    arguments = ["-m", "seed=0,1", "physics=native", "ppo.hidden_sizes=[16,16]", *small]
+    command(monkeypatch, train_quietly, *arguments)
+    for seed in (0, 1):
+        held = json.loads((tmp_path / f"runs/1x-seed{seed}/config.json").read_text())
+        assert (held["config"]["seed"], held["config"]["ppo.hidden_sizes"]) == (seed, [16, 16])
+        assert (tmp_path / f"runs/1x-seed{seed}/last.npz").exists()
+    # What it then says goes on with both, and works.
+    with pytest.raises(SystemExit, match="2"):
+        command(monkeypatch, train_quietly, *arguments)
+    on = capsys.readouterr().err.strip().split("python -m cassie_mjx.train ")[1]
+    command(monkeypatch, train_quietly, *shlex.split(on))
+
+
+def test_how_to_go_on_is_a_command_of_the_same_kind(monkeypatch):
+    for first, begins in (("/a/train.py", "python -m cassie_mjx.train"), ("cassie-mjx train", "cassie-mjx train")):
+        monkeypatch.setattr(sys, "argv", [first, "resume=false", "init=a b.npz"])
+        assert run_directory.resume_command() == f"{begins} 'init=a b.npz' resume=true"
 
 
 def test_a_sweep_takes_presets_and_nested_keys(monkeypatch, tmp_path):

@@ -1,28 +1,23 @@
 """`key=value` command lines as frozen dataclasses: one way to read, explain and run every command."""
 
-import difflib
+import os
 import signal
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import MISSING, make_dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, TypeVar, get_origin
+from typing import Any, TypeVar, get_args, get_origin
 
 import yaml
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from cassie_mjx.cli.explain import explain
-from cassie_mjx.cli.sweep import sweep
+from cassie_mjx.cli.keys import Group, Key, build, check_choice, did_you_mean, flatten, keys_of
+from cassie_mjx.cli.sweep import is_hydras, sweep, wants_hydra
 
 C = TypeVar("C")
-
-
-class Group(NamedTuple):
-    """Presets of a key whose value is a dataclass itself: `ppo=paper`, and then `ppo.gamma=0.98` on top."""
-
-    default: str
-    presets: Mapping[str, Any]
 
 
 def parse(
@@ -35,37 +30,25 @@ def parse(
 
     Args:
       config_class: its fields are the keys; those of a field that is a dataclass have its name and a dot in front.
-      arguments: of the command line.
-      groups: keys that have presets.
+      arguments: of the command line; of two for one key the later counts.
+      groups: keys that have presets; these count first, wherever they stand.
       renamed: old to new names of keys; an old one that ends in a dot stands for all keys that begin with it.
 
     Raises:
-      ValueError: an argument that is not `key=value`, an unknown key or preset, or a value that is no YAML or of the
-        wrong type; the message says which ones there are.
+      ValueError: an argument that is not `key=value`, an unknown key, preset or choice, a value that is no YAML or of
+        the wrong type, or a key that must be given and is not; the message says which ones there are.
     """
     groups = groups or {}
-    settings = [_split(argument, renamed or {}, _keys(OmegaConf.structured(config_class))) for argument in arguments]
-    chosen = {key: group.default for key, group in groups.items()} | {
-        key: value for key, value in settings if key in groups
-    }
-    base: Any = OmegaConf.structured(config_class)
-    _unfreeze(base)
-    for key, group in groups.items():
-        if chosen[key] not in group.presets:
-            raise ValueError(f"{key}={chosen[key]} is not known; choose one of {', '.join(group.presets)}.")
-        base[key] = OmegaConf.structured(group.presets[chosen[key]])
-        _unfreeze(base[key])
-    own = [(key, value) for key, value in settings if key not in groups]
-    for key, value in own:
-        _check_key(base, key)
-        try:
-            base = OmegaConf.merge(base, _read(key, value, _is_tuple(config_class, key)))
-        except OmegaConfBaseException as error:
-            raise ValueError(f"{key}={value}: {str(error).splitlines()[0]}.") from error
-    try:
-        return _with_tuples(OmegaConf.to_object(base))
-    except OmegaConfBaseException as error:
-        raise ValueError(_sentence(error)) from error
+    keys = keys_of(config_class, groups)
+    given = dict(_setting(argument, keys, renamed or {}) for argument in arguments)
+    values = {name: key.default for name, key in keys.items()}
+    for name, group in groups.items():
+        if name in given:
+            values |= flatten(group.presets[given[name]], name)
+    values |= given
+    if missing := [name for name, value in values.items() if value is MISSING]:
+        raise ValueError(f"{' and '.join(missing)} must be given, as in {' '.join(f'{each}=...' for each in missing)}")
+    return build(config_class, values)
 
 
 def run(
@@ -78,48 +61,47 @@ def run(
 
     A ValueError or OSError ends it with one sentence and status 2, Ctrl-C with one word and status 130.
     """
-    arguments = sys.argv[1:]
-    if "--help" in arguments or "-h" in arguments:
-        print(explain(sys.modules[main.__module__].__doc__ or "", config_class, groups or {}))
+
+    def job(arguments: Sequence[str]) -> None:
+        # All of it here, for a launcher of Hydra's may take the job to another process.
+        with _one_sentence():
+            keep_compiled_programs()
+            main(parse(config_class, arguments, groups))
+
+    typed = sys.argv[1:]
+    if {"-h", "--help"} & set(typed):
+        _show(explain(sys.modules[main.__module__].__doc__ or "", config_class, groups or {}))
         return
-    keep_compiled_programs()
-    try:
-        if "-m" in arguments or "--multirun" in arguments:
-            sweep(
-                [each for each in arguments if each not in ("-m", "--multirun")],
-                _job(main, config_class, groups, renamed),
-            )
+    with _one_sentence():
+        # Before the first of many jobs, so that no key is unknown to any, and each old name is told once.
+        keys, hydra = keys_of(config_class, groups or {}), wants_hydra(typed)
+        arguments = [
+            each if hydra and is_hydras(each) else "=".join(_split(each, keys, renamed or {})) for each in typed
+        ]
+        if hydra:
+            sweep(arguments, job)
         else:
-            main(parse(config_class, arguments, groups, renamed))
+            job(arguments)
+
+
+def _show(text: str) -> None:
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        # `head` has seen enough; without this, Python would complain as it closes the pipe.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextmanager
+def _one_sentence() -> Iterator[None]:
+    try:
+        yield
     except (ValueError, OSError) as error:
-        _refuse(error)
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
     except KeyboardInterrupt:
         print("Interrupted.", file=sys.stderr)
         sys.exit(128 + signal.SIGINT)
-
-
-def _job(
-    main: Callable[[C], None],
-    config_class: type[C],
-    groups: Mapping[str, Group] | None,
-    renamed: Mapping[str, str] | None,
-) -> Callable[[list[str]], None]:
-    """One combination of a sweep, from its arguments."""
-
-    def job(arguments: list[str]) -> None:
-        # Here, for a launcher may have taken the job to another process; and Hydra would print a traceback.
-        keep_compiled_programs()
-        try:
-            main(parse(config_class, arguments, groups, renamed))
-        except (ValueError, OSError) as error:
-            _refuse(error)
-
-    return job
-
-
-def _refuse(error: Exception) -> NoReturn:
-    print(f"error: {error}", file=sys.stderr)
-    sys.exit(2)
 
 
 def keep_compiled_programs() -> None:
@@ -129,76 +111,75 @@ def keep_compiled_programs() -> None:
         jax.config.update("jax_compilation_cache_dir", str(Path.home() / ".cache" / "cassie-mjx"))
 
 
-def _split(argument: str, renamed: Mapping[str, str], keys: Sequence[str]) -> tuple[str, str]:
-    key, equals, value = argument.partition("=")
+def _setting(argument: str, keys: Mapping[str, Key], renamed: Mapping[str, str]) -> tuple[str, Any]:
+    """The key that an argument names, and its value of the key's type."""
+    name, text = _split(argument, keys, renamed)
+    key = keys[name]
+    value = _typed(f"{name}={text}", _read(name, text, key.kind), key.kind)
+    if key.choices:
+        check_choice(name, value, key.choices)
+    return name, value
+
+
+def _split(argument: str, keys: Mapping[str, Key], renamed: Mapping[str, str]) -> tuple[str, str]:
+    """The known key that an argument names, and the text of its value."""
+    name, equals, text = argument.partition("=")
     if not equals:
-        raise ValueError(f"{argument!r} is not of the form key=value; the keys are {', '.join(keys)}.")
+        raise ValueError(f"{argument!r} is not of the form key=value; the keys are {', '.join(_level(keys, ''))}.")
     for old, new in renamed.items():
-        if key == old or (old.endswith(".") and key.startswith(old)):
-            now = new + key.removeprefix(old)
-            print(f"{key} is now called {now}.", file=sys.stderr)
-            return now, value
-    return key, value
+        if name == old or (old.endswith(".") and name.startswith(old)):
+            now = new + name.removeprefix(old)
+            print(f"{name} is now called {now}.", file=sys.stderr)
+            name = now
+    if name not in keys:
+        raise ValueError(_unknown(name, keys))
+    return name, text
 
 
-def _keys(node: DictConfig) -> list[str]:
-    return [str(key) for key in node]
+def _unknown(name: str, keys: Mapping[str, Key]) -> str:
+    """A sentence about a key that does not exist: the keys beside it, and the nearest of all."""
+    parts = name.split(".")
+    prefixes = (".".join(parts[:length]) + "." for length in range(len(parts), 0, -1))
+    prefix = next((each for each in prefixes if _level(keys, each)), "")
+    # push_n is that of walk.scenario, however little alike the two are.
+    below = [known for known in keys if known.endswith(f".{name}")]
+    hint = f" Did you mean {below[0]}?" if below else did_you_mean(name, list(keys))
+    return f"{name!r} is not a key; the keys are {', '.join(_level(keys, prefix))}.{hint}"
 
 
-def _check_key(base: DictConfig, key: str) -> None:
-    """Raise ValueError unless the dotted `key` is one of the configuration's."""
-    node: Any = base
-    for part in key.split("."):
-        known = _keys(node) if isinstance(node, DictConfig) else []
-        if part not in known:
-            near = difflib.get_close_matches(part, known, 1)
-            hint = f" Did you mean {near[0]}?" if near else ""
-            raise ValueError(f"{key!r} is not a key; the keys are {', '.join(known or _keys(base))}.{hint}")
-        node = node[part]
+def _level(keys: Mapping[str, Key], prefix: str) -> list[str]:
+    """Names of the keys below `prefix`, those of one deeper level as one."""
+    return list(dict.fromkeys(name.removeprefix(prefix).split(".")[0] for name in keys if name.startswith(prefix)))
 
 
-def _is_tuple(config_class: type, key: str) -> bool:
-    first, _, rest = key.partition(".")
-    kinds = {field.name: field.type for field in fields(config_class)}
-    kind = kinds.get(first)
-    if rest:
-        return isinstance(kind, type) and is_dataclass(kind) and _is_tuple(kind, rest)
-    return get_origin(kind) is tuple
+def _is_tuple(kind: Any) -> bool:
+    return tuple in (get_origin(kind), *map(get_origin, get_args(kind)))
 
 
-def _read(key: str, value: str, is_tuple: bool) -> DictConfig:
-    """One setting, its value read as YAML. Raise ValueError if that is not possible."""
-    text = f"[{value}]" if is_tuple and not value.startswith("[") else value
+def _read(name: str, text: str, kind: Any) -> Any:
+    """A value as YAML. Raise ValueError if it is none."""
+    if kind is str and not text:
+        return ""
+    bracketed = _is_tuple(kind) and not text.startswith("[") and text != "null"
     try:
-        return OmegaConf.from_dotlist([f"{key}={text}"])
+        return OmegaConf.from_dotlist([f"value=[{text}]" if bracketed else f"value={text}"])["value"]
     except yaml.YAMLError as error:
         problem = getattr(error, "problem", None) or str(error).splitlines()[0]
         raise ValueError(
-            f"{f'{key}={value}'!r} has a value that is no YAML ({problem}); close its brackets, or put it in quotes "
-            f"that the shell keeps, \"{key}='...'\"."
+            f"{f'{name}={text}'!r} has a value that is no YAML ({problem}); close its brackets, or put it in quotes "
+            f"that the shell keeps, \"{name}='...'\"."
         ) from error
+    except OmegaConfBaseException as error:
+        raise ValueError(f"{name}={text}: {str(error).splitlines()[0]}.") from error
 
 
-def _with_tuples(config: Any) -> Any:
-    """The configuration with tuples where OmegaConf has lists."""
-    for field in fields(config):
-        value = getattr(config, field.name)
-        if isinstance(value, list):
-            object.__setattr__(config, field.name, tuple(value))
-        elif is_dataclass(value):
-            _with_tuples(value)
-    return config
-
-
-def _unfreeze(node: DictConfig) -> None:
-    """Let settings be merged into the schema of a frozen dataclass; `OmegaConf.to_object` freezes the result."""
-    OmegaConf.set_readonly(node, None)
-    for key in node:
-        if isinstance(value := node[key], DictConfig):
-            _unfreeze(value)
-
-
-def _sentence(error: OmegaConfBaseException) -> str:
-    """What an error of OmegaConf's says, in one line: that of the configuration's own check, if that is its cause."""
-    cause = error.__cause__ if isinstance(error.__cause__, ValueError) else None
-    return str(cause) if cause else f"{error.full_key}: {str(error).splitlines()[0]}."
+def _typed(argument: str, value: Any, kind: Any) -> Any:
+    """The value as one of a key of that type. Raise ValueError if it cannot be."""
+    schema = OmegaConf.structured(make_dataclass("Value", [("value", kind)]))
+    try:
+        typed = OmegaConf.to_container(OmegaConf.merge(schema, {"value": value}))
+    except OmegaConfBaseException as error:
+        several = f" -m {argument} runs one after another." if "," in argument else ""
+        raise ValueError(f"{argument}: {str(error).splitlines()[0]}.{several}") from error
+    assert isinstance(typed, dict)
+    return tuple(typed["value"]) if isinstance(typed["value"], list) else typed["value"]

@@ -5,6 +5,8 @@ import importlib
 import sys
 from pathlib import Path
 
+from cassie_mjx.cli.keys import did_you_mean
+
 COMMANDS = ("train", "evaluate", "render", "view", "export", "report")
 
 
@@ -24,7 +26,8 @@ def main() -> None:
         return
     command, *rest = arguments
     if command not in COMMANDS:
-        print(f"error: {command!r} is not a command; the commands are {', '.join(COMMANDS)}.", file=sys.stderr)
+        hint = did_you_mean(command, COMMANDS)
+        print(f"error: {command!r} is not a command; the commands are {', '.join(COMMANDS)}.{hint}", file=sys.stderr)
         sys.exit(2)
     sys.argv = [f"cassie-mjx {command}", *rest]
     importlib.import_module(f"cassie_mjx.{command}").run()

@@ -4,6 +4,7 @@ import datetime
 import importlib.metadata
 import os
 import platform
+import shlex
 import subprocess
 import sys
 from collections import Counter
@@ -15,11 +16,8 @@ PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "brax", "flax", "optax", "n
 
 def provenance(**more: Any) -> dict[str, Any]:
     """Where a result comes from: command, commit, date, hardware, versions, and whatever else is given."""
-    module = getattr(sys.modules["__main__"], "__spec__", None)
-    name = module.name.removesuffix(".__main__") if module else Path(sys.argv[0]).name
-    console = sys.argv[0].startswith("cassie-mjx ")
     return {
-        "command": " ".join(sys.argv if console else ["python -m", name, *sys.argv[1:]]),
+        "command": shlex.join([*program(_module()), *sys.argv[1:]]),
         "commit": _commit(),
         "date": datetime.date.today().isoformat(),
         "hardware": ", ".join([_processor(), f"{os.cpu_count()} cores", *_accelerators()]),
@@ -27,6 +25,22 @@ def provenance(**more: Any) -> dict[str, Any]:
         "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
         **more,
     }
+
+
+def program(module: str) -> list[str]:
+    """What a command line begins with that runs this module: `cassie-mjx COMMAND` if the present one does so, too."""
+    console = sys.argv[0].startswith("cassie-mjx ")
+    return sys.argv[0].split() if console else ["python", "-m", module]
+
+
+def _module() -> str:
+    """The module that the present command runs."""
+    path = Path(sys.argv[0])
+    # By its file, for a launcher of Hydra's may have taken the job to a process that runs another module.
+    if path.parent.name in ("cassie_mjx", "experiments"):
+        return f"{path.parent.name}.{path.stem}"
+    module = getattr(sys.modules["__main__"], "__spec__", None)
+    return module.name.removesuffix(".__main__") if module else path.name
 
 
 def _commit() -> str:

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 import jax
 
+from cassie_mjx.cli import check_choices
 from cassie_mjx.envs.config import WALK_PRESETS, WalkConfig
 from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.ppo import learner
@@ -76,10 +77,7 @@ class TrainConfig:
     def __post_init__(self) -> None:
         """Raise ValueError for a value out of range."""
         speed_factors(self.speed)
-        if self.physics not in ("auto", *TRAINING_HZ):
-            raise ValueError(f"physics={self.physics} is not known; choose one of auto, {', '.join(TRAINING_HZ)}.")
-        if self.contacts not in CONTACTS:
-            raise ValueError(f"contacts={self.contacts} is not known; choose one of {', '.join(CONTACTS)}.")
+        check_choices(self)
         if self.physics_hz is not None:
             steps_per_control(self.physics_hz)
         if self.evaluate_every < 1:

@@ -54,7 +54,7 @@ def changes(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
 def resume_command() -> str:
     """The present command, with resume=true."""
     arguments = [argument for argument in sys.argv[1:] if not argument.startswith("resume=")]
-    return shlex.join(["python", "-m", "cassie_mjx.train", *arguments, "resume=true"])
+    return shlex.join([*cli.program("cassie_mjx.train"), *arguments, "resume=true"])
 
 
 def _look(folder: Path, wanted: dict[str, Any], resume: bool) -> Path | None:
