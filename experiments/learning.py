@@ -11,7 +11,7 @@ import json
 import statistics
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -144,7 +144,7 @@ STUDIES = {
 class LearningConfig:
     """What to study."""
 
-    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"study": tuple(STUDIES)}
+    CHOICES: ClassVar[Mapping[str, Collection[str]]] = {"study": STUDIES}
 
     study: str = "walking"
     """What is compared with what; `STUDIES` has the variants and seeds of each."""

@@ -4,7 +4,7 @@ import ast
 import difflib
 import inspect
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from functools import cache
 from typing import Any, NamedTuple, TypeVar, get_type_hints
@@ -26,7 +26,7 @@ class Key(NamedTuple):
     """Type of its value."""
     default: Any
     """`dataclasses.MISSING` if the key must be given."""
-    choices: Sequence[str]
+    choices: Collection[str]
     """What its value can be, apart from null; empty if that is not a list of names."""
     doc: str
     """What stands under the field."""
@@ -82,7 +82,7 @@ def build(config_class: type[C], values: Mapping[str, Any], prefix: str = "") ->
     )
 
 
-def field_choices(config_class: type) -> dict[str, Sequence[str]]:
+def field_choices(config_class: type) -> dict[str, Collection[str]]:
     """The choices of each field that has some: `CHOICES` of the dataclass and of those that it inherits from."""
     owners = reversed(config_class.__mro__)
     return {name: known for owner in owners for name, known in vars(owner).get("CHOICES", {}).items()}
@@ -94,13 +94,13 @@ def check_choices(config: Any) -> None:
         check_choice(name, getattr(config, name), known)
 
 
-def check_choice(name: str, value: Any, known: Sequence[str]) -> None:
+def check_choice(name: str, value: Any, known: Collection[str]) -> None:
     """Raise ValueError if `value` is none of the `known` ones, nor null; the sentence names them."""
     if value is not None and value not in known:
         raise ValueError(f"{name}={value} is not known; choose one of {', '.join(known)}.{did_you_mean(value, known)}")
 
 
-def did_you_mean(given: str, known: Sequence[str]) -> str:
+def did_you_mean(given: str, known: Collection[str]) -> str:
     """A question that names the known word nearest to the given one, after a blank; empty if none is near."""
     near = difflib.get_close_matches(given, known, 1)
     return f" Did you mean {near[0]}?" if near else ""
@@ -110,7 +110,9 @@ def did_you_mean(given: str, known: Sequence[str]) -> str:
 def field_docs(config_class: type) -> dict[str, str]:
     """The docstring under each field of a dataclass and of those that it inherits from, in one line."""
     docs: dict[str, str] = {}
-    for owner in filter(is_dataclass, reversed(config_class.__mro__)):
+    for owner in reversed(config_class.__mro__):
+        if not is_dataclass(owner):
+            continue
         body = ast.parse(textwrap.dedent(inspect.getsource(owner))).body[0]
         assert isinstance(body, ast.ClassDef)
         for node, after in zip(body.body, body.body[1:], strict=False):
