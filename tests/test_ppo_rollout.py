@@ -122,6 +122,28 @@ def test_final_observation_is_the_one_before_the_reset(rollouts, loop):
 
 
 @pytest.mark.parametrize("loop", LOOPS)
+def test_an_episode_cut_by_time_is_worth_what_the_critic_sees_before_the_reset(rollouts, loop):
+    """A critic whose value is the age: 12 at the time limit, and 0 for the reset robot. Lambda 1 makes targets sums."""
+    config = replace(CONFIG, hidden_sizes=(1,), gae_lambda=1.0, normalize_advantage=False)
+    state = learner.init(jax.random.key(0), config, 2, 2, 1)
+    age_alone = {"kernel": jnp.zeros((3, 1)).at[2, 0].set(1.0), "bias": jnp.zeros(1)}
+    state = state._replace(critic={"hidden_0": age_alone, "output": {"kernel": jnp.ones((1, 1)), "bias": jnp.zeros(1)}})
+    lived = rollouts[loop]
+    target = np.asarray(learner._prepare(config, state, lived, None)[0].value_target).reshape(lived.reward.shape)
+
+    robot = int(np.asarray(lived.truncated).any(axis=0).argmax())
+    (end,) = np.flatnonzero(np.asarray(lived.truncated)[:, robot])[:1]
+    assert end < CONFIG.num_steps - 1
+    reward = np.asarray(lived.reward)[:, robot]
+    np.testing.assert_allclose(target[end, robot], reward[end] + 0.9 * TIME_LIMIT, rtol=1e-5)
+    np.testing.assert_allclose(
+        target[end - 1, robot], reward[end - 1] + 0.9 * reward[end] + 0.81 * TIME_LIMIT, rtol=1e-5
+    )
+    failed = np.asarray(lived.terminated)
+    np.testing.assert_allclose(target[failed], np.asarray(lived.reward)[failed], rtol=1e-5)
+
+
+@pytest.mark.parametrize("loop", LOOPS)
 def test_rollout_carries_the_density_of_its_actions_and_the_environments_metrics(rollouts, loop):
     lived = rollouts[loop]
     assert lived.observation.shape == (CONFIG.num_steps, ROBOTS, 2)
