@@ -3,6 +3,7 @@
 A function of this file whose name begins with `with_` runs in processes of its own, which have two devices in all.
 """
 
+import io
 import json
 import os
 import signal
@@ -20,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from rich.console import Console
 
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.mjx import MjxPhysics
@@ -28,6 +30,7 @@ from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model
 from cassie_mjx.training import checkpoint, devices, run_directory
 from cassie_mjx.training.config import TrainConfig, resolve_config
+from cassie_mjx.training.runner import Runner
 from cassie_mjx.training.trainer import Trainer
 
 ROOT = Path(__file__).parents[1]
@@ -162,6 +165,59 @@ def with_two_devices_a_point_robot_is_trained(distributed):
 @pytest.mark.parametrize("start", [two_devices, pytest.param(two_processes, marks=pytest.mark.slow)])
 def test_two_devices_share_robots_and_learn_as_one(start):
     finish(start(*call(with_two_devices_a_point_robot_is_trained, start is two_processes)))
+
+
+def go_on_elsewhere(folder, number):
+    """Restore checkpoint `number` on the devices of this process, bit for bit, learn once more and save the next."""
+    folder, number = Path(folder), int(number)
+    collect, update = partial(rollout.collect, step, CONFIG), partial(learner.update, CONFIG)
+    places: Any = None
+    if jax.device_count() > 1:
+        collect, update = devices.on_all(collect, update)
+        places = devices.same_everywhere(), devices.split_by_robot()
+    run = learner.init(jax.random.key(1), CONFIG, 3, 3, 0), points(jnp.zeros((8, 3)))
+    run = jax.device_put(run, places) if places else run
+    arrays = checkpoint.restore(folder / f"step_{number:06d}").arrays
+    state, robots = run = checkpoint.restore_into(run, arrays)
+    held = {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(devices.gather(run))}
+    assert all(np.array_equal(held[name], arrays[name]) for name in arrays)
+    assert len(robots.observation.sharding.device_set) == jax.device_count()
+    robots, lived = collect(state.policy, robots, jax.random.key(number))
+    state, metrics = jax.jit(update)(state, lived, jax.random.key(number))
+    assert np.isfinite(jax.tree.leaves(jax.device_get(metrics))).all()
+    assert int(state.iteration) == number + 1
+    checkpoint.save(folder, number + 1, devices.gather((state, robots)), load_motion("walk"), {})
+
+
+def test_a_checkpoint_goes_on_with_more_devices_and_with_fewer(tmp_path):
+    begun = learner.init(jax.random.key(1), CONFIG, 3, 3, 0), points(jax.random.normal(jax.random.key(0), (8, 3)))
+    checkpoint.save(tmp_path, 0, begun, load_motion("walk"), {})
+    go_on_elsewhere(tmp_path, 0)
+    finish(two_devices(*call(go_on_elsewhere, tmp_path, 1)))
+    go_on_elsewhere(tmp_path, 2)
+
+
+def with_any_devices_a_run_goes_on(folder, iterations):
+    """Train a run on MJX up to `iterations`, from its last checkpoint if it has one, and save there."""
+    sizes = {"num_robots": 2, "num_steps": 4, "minibatch_size": 8, "iterations": 3, "normalizer_samples": 8}
+    ppo, folder = replace(CONFIG, **sizes), Path(folder)
+    config = TrainConfig(physics="mjx", physics_hz=500, ppo=ppo, evaluate_every=3, resume=True, run_dir=str(folder))
+    runner = Runner(config, Console(file=io.StringIO()))
+    if runner.done:
+        arrays, held = last_state(folder), devices.gather(runner.run)
+        leaves = {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(held)}
+        assert all(np.array_equal(leaves[name], arrays[name]) for name in arrays)
+    assert len(runner.run.env.physics.qpos.sharding.device_set) == jax.device_count()
+    runner.config = replace(runner.config, ppo=replace(ppo, iterations=int(iterations)))
+    runner.train()
+    assert runner.done == int(iterations)
+
+
+@pytest.mark.slow
+def test_a_run_goes_on_with_more_devices_and_with_fewer(tmp_path):
+    finish([python(*call(with_any_devices_a_run_goes_on, tmp_path, 1))])
+    finish(two_devices(*call(with_any_devices_a_run_goes_on, tmp_path, 2)))
+    finish([python(*call(with_any_devices_a_run_goes_on, tmp_path, 3))])
 
 
 def with_two_processes_everything_is_shared(folder):
