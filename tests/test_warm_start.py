@@ -1,4 +1,4 @@
-"""Training from another policy, and training under scenario_of: what they start from and how they resume."""
+"""Training from another policy, and training under disturbances: what they start from and how they resume."""
 
 import io
 import json
@@ -62,6 +62,31 @@ def test_it_takes_the_input_statistics_of_its_own_task_and_stays_the_same_policy
     ours, theirs = (np.asarray(networks.mode(policy, inside))[within] for policy in (after, before))
     np.testing.assert_allclose(ours, theirs, atol=1e-4)
     assert np.abs(normalizer.normalize(after.normalizer, seen)).max() < normalizer.CLIP
+
+
+def test_a_policy_that_does_not_see_its_task_is_told_to_the_user(first, tmp_path):
+    """Statistics of 1x, moved by 20 deviations in one input of 80: it is clipped in every sample, 1/80 of them all."""
+    begun = session(tmp_path, init=str(first), seed=5)
+    run = begun.trainer.gather_statistics(begun.run)
+    calm = begun.trainer.clipped_inputs(run)
+    assert calm.shape == (80,)
+    assert calm.mean() < 0.01
+    statistics = run.learner.policy.normalizer
+    moved = statistics._replace(mean=statistics.mean.at[5].add(20 * normalizer.std(statistics)[5]))
+    policy = run.learner.policy._replace(normalizer=moved)
+    begun.run = run._replace(learner=run.learner._replace(policy=policy))
+    shares = begun.trainer.clipped_inputs(begun.run)
+    assert shares[5] > 0.95
+    begun._warn_of_clipping()
+    said = " ".join(begun.terminal._console.file.getvalue().split())
+    (line,) = [line for line in begun.law.observation.describe() if _holds(line, 5)]
+    assert "of the policy's inputs are clipped on its own task" in said
+    assert line in said
+
+
+def _holds(line, index):
+    start, stop = map(int, line.split()[0].split(":"))
+    return start <= index < stop
 
 
 def test_a_policy_of_other_gains_is_said_to_be_one(first, tmp_path):
