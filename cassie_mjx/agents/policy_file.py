@@ -47,29 +47,9 @@ def save_policy(
     Raises:
       OSError: it cannot be written; a file of that name is as it was.
     """
-    layers = networks.layers(policy.actor)
-    arrays: dict[str, Any] = {f"weight_{i}": weight for i, (weight, _) in enumerate(layers)}
-    arrays |= {f"bias_{i}": bias for i, (_, bias) in enumerate(layers)}
-    arrays |= {
-        "format": FORMAT,
-        "version": VERSION,
-        "provenance": json.dumps(dict(provenance)),
-        "speed": speed,
-        "layers": len(layers),
-        "mean": policy.normalizer.mean,
-        "std": normalizer.std(policy.normalizer),
-        "clip": normalizer.CLIP,
-        "samples": policy.normalizer.samples,
-        "reference_qpos": motion.qpos,
-        "reference_qvel": motion.qvel,
-        "reference_stride_length": motion.stride_length,
-        "joints": cassie.ACTUATORS,
-        "p_gain": cassie.P_GAIN,
-        "d_gain": kd_scale * cassie.D_GAIN,
-        "observation": law.observation.describe(),
-    }
-    if law.symmetric:
-        arrays |= dict(zip(MIRROR_ARRAYS, _mirror(law), strict=True))
+    arrays = _network_arrays(policy) | _motion_arrays(motion) | _law_arrays(law)
+    arrays |= {"format": FORMAT, "version": VERSION, "provenance": json.dumps(dict(provenance))}
+    arrays |= {"speed": speed, "d_gain": kd_scale * cassie.D_GAIN}
     partial = path.with_name(path.name + ".partial")
     try:
         with partial.open("wb") as file:
@@ -80,6 +60,40 @@ def save_policy(
     except OSError as error:
         partial.unlink(missing_ok=True)
         raise OSError(f"The policy {path} could not be written ({error.strerror or error}).") from error
+
+
+def _network_arrays(policy: Policy) -> dict[str, Any]:
+    """The actor and its input statistics, as a policy file has them."""
+    layers, statistics = networks.layers(policy.actor), policy.normalizer
+    return {
+        **{f"weight_{i}": weight for i, (weight, _) in enumerate(layers)},
+        **{f"bias_{i}": bias for i, (_, bias) in enumerate(layers)},
+        "layers": len(layers),
+        "mean": statistics.mean,
+        "std": normalizer.std(statistics),
+        "clip": normalizer.CLIP,
+        "samples": statistics.samples,
+    }
+
+
+def _motion_arrays(motion: ReferenceMotion) -> dict[str, Any]:
+    """The motion imitated, as a policy file has it."""
+    return {
+        "reference_qpos": motion.qpos,
+        "reference_qvel": motion.qvel,
+        "reference_stride_length": motion.stride_length,
+    }
+
+
+def _law_arrays(law: ControlLaw) -> dict[str, Any]:
+    """What is observed, what is driven and how stiffly, as a policy file has it."""
+    mirror = dict(zip(MIRROR_ARRAYS, _mirror(law), strict=True)) if law.symmetric else {}
+    return {
+        "joints": cassie.ACTUATORS,
+        "p_gain": cassie.P_GAIN,
+        "observation": law.observation.describe(),
+        **mirror,
+    }
 
 
 def control_law(saved: NumpyPolicy) -> ControlLaw:

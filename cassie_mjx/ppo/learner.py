@@ -103,12 +103,9 @@ def update(
     minibatch_size = config.minibatch_size // devices
     rows = _shuffled_rows(key, batch.log_prob.shape[0], config.updates_per_iteration, minibatch_size)
     trained, losses = jax.lax.scan(train_on, state, rows)
-
     log_prob = _log_prob(trained.policy, batch)
     local = {
-        "reward": rollout.reward.mean(),
-        "terminated": rollout.terminated.mean(dtype=log_prob.dtype),
-        "truncated": rollout.truncated.mean(dtype=log_prob.dtype),
+        **_rollout_metrics(rollout),
         "actor_loss": losses.actor.mean(),
         "critic_loss": losses.critic.mean(),
         "kl": loss.kl_estimate(log_prob, batch.log_prob),
@@ -184,6 +181,11 @@ def _prepare(
         advantage = standardize(advantage, axis_name)
     batch = _Batch(inputs, critic_inputs, rollout.action, rollout.log_prob, advantage, value_target)
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), batch), explained_variance
+
+
+def _rollout_metrics(rollout: Rollout) -> dict[str, Float[Array, ""]]:
+    ended = {name: getattr(rollout, name).mean(dtype=jnp.float32) for name in ("terminated", "truncated")}
+    return {"reward": rollout.reward.mean(), **ended}
 
 
 def _critic_inputs(

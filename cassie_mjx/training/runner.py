@@ -5,14 +5,12 @@ whatever ends it, the same command with resume=true goes on exactly where the la
 """
 
 import os
-import signal
 import sys
 import time
 from collections import Counter
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import jax
@@ -32,6 +30,7 @@ from cassie_mjx.ppo.types import Policy
 from cassie_mjx.robot.model import ModelConfig
 from cassie_mjx.training import checkpoint, devices, divergence, run_directory
 from cassie_mjx.training.config import TrainConfig, resolve_config
+from cassie_mjx.training.interruption import Interruption
 from cassie_mjx.training.loggers import JsonLines, TensorBoard, Terminal
 from cassie_mjx.training.trainer import IterationMetrics, RunState, Trainer, initial_policy, unlike
 
@@ -71,7 +70,7 @@ class Runner:
     """One process' part of a run: from its start or its last checkpoint to its end or a signal."""
 
     def __init__(self, config: TrainConfig, console: Console) -> None:
-        """Claim the run's directory and load_model what it holds.
+        """Claim the run's directory and read what it holds.
 
         Raises:
           ValueError: the configuration, the reference or the directory will not do; nothing is written then.
@@ -267,25 +266,6 @@ def _slice(line: str) -> slice:
     """Where an observation has what a line of its description begins with, such as "0:2"."""
     start, stop = line.split()[0].split(":")
     return slice(int(start), int(stop))
-
-
-class Interruption:
-    """SIGINT and SIGTERM as a request, noted in `signal`; a second one ends the process at once."""
-
-    def __init__(self) -> None:
-        self.signal = 0
-
-    def __enter__(self) -> "Interruption":
-        self._before = {number: signal.signal(number, self._note) for number in (signal.SIGINT, signal.SIGTERM)}
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _note(self, number: int, _: FrameType | None) -> None:
-        self.signal = number
-        self.__exit__()
 
 
 def train_policy(config: TrainConfig) -> Path:
