@@ -203,7 +203,7 @@ def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
     """What a finished run did: its configuration, curve, returns, and samples and seconds to the goal.
 
     The returns are those of the policy that training keeps: the best by the reward that it learned from or, under
-    scenario_of, the last.
+    disturbances, the last.
 
     Raises:
       ValueError: it was trained with other settings than the variant's, in whatever point, or is not finished.

@@ -29,7 +29,7 @@ STUDIES = {
     "rate": "Learning with physics at 500 Hz, and at 1 kHz",
     "learning_speeds": "Learning other speeds from the 1x policy, and all of them from scratch",
     "robust": "Learning under pushes, terrain and delay, and going on with less noise",
-    "symmetry": "Learning under scenario_of one step of the stride, the other as in a mirror, and both",
+    "symmetry": "Learning under disturbances: one step of the stride, the other as in a mirror, and both",
     "warm_start": "Learning 4x from the 1x policy, and from scratch",
     "paper": "The paper's learner as printed, and readings that differ in one point",
 }
@@ -232,7 +232,7 @@ def walked_twice(folder: Path) -> list[str]:
             "The same trials on both engines",
             "MuJoCo C and MJX at 2 kHz with the same contacts, from the same states; on MJX, terrain is a tangent "
             "plane under each leg. A verdict is whether a trial was survived; it is at a limit if the next weaker or "
-            "stronger scenario has another.",
+            "stronger disturbance has another.",
             tables.verdicts,
             "policy=1x",
         ),

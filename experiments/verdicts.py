@@ -2,7 +2,7 @@
 
 A grid of 528 cells, chosen before any was walked: pushes, terrain and delays from harmless to hopeless. Both engines
 run at 2 kHz with full contacts, from the same states; MJX in float32, and with a tangent plane under each leg
-where MuJoCo C has a height field. A trial at the border, where the next level of the scenario changes the outcome,
+where MuJoCo C has a height field. A trial at the border, where the next level of the disturbance changes the outcome,
 may well end otherwise; no other should.
 """
 

@@ -194,7 +194,7 @@ def test_effort_is_a_mean_over_time(engine):
     starts = Pushing().start(physics, np.zeros(1))
     starts.physics.qvel[0, cassie.ACTIVE_QVEL[0]] = 0.01
     result = run_trials(Pushing(), physics, starts, [Trial(0, 0.064), Trial(0, 0.032)])
-    # Less 0.1 N·m by kd_scale; at 0.01 rad/s. Half of the time the motor brakes.
+    # Less 0.1 N·m by damping; at 0.01 rad/s. Half of the time the motor brakes.
     np.testing.assert_allclose(result.torque_nm, [(49.9 + 0.1) / 2 / 10, 49.9 / 10], rtol=1e-5)
     np.testing.assert_allclose(result.power_w, [0.499 / 2, 0.499], rtol=1e-5)
 

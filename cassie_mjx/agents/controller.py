@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
+from cassie_mjx.agents.saved_law import control_law
 from cassie_mjx.agents.shipped import load_policy
-from cassie_mjx.control.law import ControlLaw, target
+from cassie_mjx.control.law import target
 from cassie_mjx.control.network import Network
-from cassie_mjx.control.observation import OBSERVATIONS, Seen
+from cassie_mjx.control.observation import Seen
 from cassie_mjx.motion.command import Command
 from cassie_mjx.motion.reference import ReferenceMotion, sample
 from cassie_mjx.robot import cassie
@@ -108,14 +109,9 @@ class Controller:
         """Take a policy and where its robot has which joint; without `joints` that of this package's model.
 
         Raises:
-          ValueError: the policy observes what this version does not know.
+          ValueError: the policy's observation or mirror is not this version's.
         """
-        lines = list(policy.observation)
-        observation = next((known for known in OBSERVATIONS.values() if known.describe() == lines), None)
-        if observation is None:
-            raise ValueError("The policy observes what this version does not know; use the one it was trained with.")
-        self.policy, self.joints = policy, joints or Joints.own()
-        self.law = ControlLaw(observation, policy.mirror is not None)
+        self.policy, self.joints, self.law = policy, joints or Joints.own(), control_law(policy)
         stride_length = np.asarray(policy.reference_stride_length)
         self.motion = ReferenceMotion(policy.reference_qpos, policy.reference_qvel, stride_length)
         self._network = Network(policy.mean, policy.std, policy.clip, policy.weights)

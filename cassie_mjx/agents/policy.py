@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
-from cassie_mjx.agents.policy_file import control_law, learner_policy
+from cassie_mjx.agents.policy_file import learner_policy
+from cassie_mjx.agents.saved_law import control_law
 from cassie_mjx.agents.types import Sensed
 from cassie_mjx.control.law import ControlLaw, target
 from cassie_mjx.control.network import Network

@@ -37,11 +37,11 @@ class Shot(NamedTuple):
 
 def begin(agent: Agent, trial: Trial, phase: float) -> tuple[Physics, AgentState]:
     """The engine of a trial, and the one robot that starts it in steady walking at `phase` of its stride, 0 to 1."""
-    flat, hills = (
-        make_physics("native", ModelConfig(scene=scene), trial.delay, threads=1) for scene in ("flat", "terrain")
-    )
-    starts = steady(agent, flat, np.array([phase]))
-    return hills if trial.terrain else flat, placed(agent, starts, [trial])
+    physics = make_physics("native", ModelConfig(), trial.delay, threads=1)
+    robots = placed(agent, steady(agent, physics, np.array([phase])), [trial])
+    if trial.terrain:
+        physics = make_physics("native", ModelConfig(scene="terrain"), trial.delay, threads=1)
+    return physics, robots
 
 
 def film(agent: Agent, trial: Trial, phase: float = 0.0, push_at: float = 0.0, fps: float = 30.0) -> Iterator[Shot]:

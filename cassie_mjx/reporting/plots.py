@@ -28,7 +28,7 @@ STYLE: dict[Any, Any] = {
 
 
 class Series(NamedTuple):
-    """How many robots a walker keeps up at each level of a scenario."""
+    """How many robots of an agent stay up at each level of a disturbance."""
 
     label: str
     levels: Sequence[float]
