@@ -12,21 +12,18 @@ import statistics
 import subprocess
 import sys
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from omegaconf import OmegaConf
 from rich.console import Console
 from rich.table import Table
 
 from cassie_mjx import cli
-from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.scenario import ScenarioConfig
 from cassie_mjx.reporting import plots
 from cassie_mjx.training import checkpoint
-from cassie_mjx.training.config import PRESETS, TrainConfig, present_names
-from cassie_mjx.training.run_directory import comparable
+from experiments.studies import STUDIES, Variant, deviations, expected
 
 # The return that the paper reports.
 GOAL = 250
@@ -46,98 +43,6 @@ COLUMNS = {
     "actor_learning_rate": "learner/actor_learning_rate",
 }
 """Columns of a curve, one entry an evaluation, and where the metrics have them, if they do."""
-
-
-@dataclass(frozen=True)
-class Variant:
-    """One way to train."""
-
-    name: str
-    """Its runs are the directories <name>-seed<seed>, in whatever study."""
-    settings: Mapping[str, str]
-    """Key to value of the arguments of `python -m cassie_mjx.train` besides `ENGINE`; `{runs}` stands for the folder of
-    the runs and `{seed}` for the seed."""
-    seeds: tuple[int, ...] = (0, 1, 2)
-
-    def of(self, seed: int, runs: Path) -> dict[str, str]:
-        """The settings of one run in the folder `runs`."""
-        chosen = {key: value.format(runs=runs, seed=seed) for key, value in self.settings.items()}
-        return ENGINE | chosen | {"seed": str(seed)}
-
-
-ENGINE = {"physics": "native", "physics_hz": "500"}
-"""What every run is trained on unless its variant says otherwise, so that what is compared differs in nothing else."""
-
-ACTOR, CRITIC = "ppo.actor_learning_rate", "ppo.critic_learning_rate"
-PAPER = {
-    "ppo": "paper",
-    "walk.reward": "plain",
-    "walk.min_reward": "0.6",
-    "walk.max_position_error_m": "null",
-    "walk.start_velocity_mps": "0",
-    ACTOR: "1e-3",
-    CRITIC: "1e-2",
-}
-DEFAULT = Variant("1x", {})
-ROBUST = {"walk": "robust", "ppo.final_action_std": "0.05"}
-GENTLER = {
-    "walk.scenario.push_n": "250",
-    "walk.scenario.push_backward": "0.7",
-    "ppo.action_std": "0.05",
-    "ppo.iterations": "750",
-}
-ROBUST_FIRST = Variant("1x-robust-first", ROBUST | {"init": "1x", "ppo.iterations": "600"})
-OTHER_SPEEDS = tuple(Variant(speed, {"speed": speed, "init": "1x"}) for speed in ("0x", "2x", "3x", "4x"))
-
-LATER = {"init": None, "ppo.privileged_critic": False, "ppo.final_action_std": None}
-LATER |= {
-    "walk.symmetric": False,
-    "walk.max_position_error_m": None,
-    "walk.kd_scale": 1.0,
-    "walk.start_velocity_mps": 0,
-    "walk.start_offset_m": 0,
-}
-# What means nothing to robots of one speed, as all of those runs have.
-LATER |= {"walk.command_s": WalkConfig().command_s}
-LATER |= {"contacts": "full", "walk.observation": "full"}
-LATER |= {f"walk.scenario.{name}": value for name, value in vars(ScenarioConfig()).items()}
-"""How runs were trained whose configuration does not name these yet."""
-
-STUDIES = {
-    "walking": (replace(DEFAULT, seeds=(0, 1, 2, 3, 4)),),
-    # `make train` on a quiet machine, and runs=runs: seconds that can be compared with those of other machines.
-    "make_train": (replace(DEFAULT, seeds=(0,)),),
-    "starts": (DEFAULT, Variant("1x-exact-starts", {"walk.start_velocity_mps": "0"})),
-    "reward": (DEFAULT, Variant("1x-plain", {"walk.reward": "plain"})),
-    "rate": (DEFAULT, Variant("1x-1000hz", {"physics_hz": "1000"}, (0,))),
-    "learning_speeds": (
-        *OTHER_SPEEDS,
-        # From scratch: the input statistics of 1x would clip a reference velocity beyond 1.3 m/s.
-        Variant("any-first", {"speed": "any", "ppo.iterations": "600"}, (0,)),
-        Variant("any", {"speed": "any", "init": "{runs}/any-first-seed{seed}"}, (0,)),
-    ),
-    "robust": (
-        ROBUST_FIRST,
-        Variant("1x-robust", ROBUST | GENTLER | {"init": "{runs}/1x-robust-first-seed{seed}"}),
-    ),
-    "symmetry": (
-        ROBUST_FIRST,
-        Variant("1x-robust-first-both-steps", dict(ROBUST_FIRST.settings) | {"walk.symmetric": "false"}),
-    ),
-    "warm_start": (OTHER_SPEEDS[-1], Variant("4x-from-scratch", {"speed": "4x"}, (0,))),
-    # What the paper prints, a tenth of its step sizes, and readings that differ from the printed one in a single point.
-    "paper": (
-        Variant("paper-printed", PAPER),
-        Variant("paper-tenth", PAPER | {ACTOR: "1e-4", CRITIC: "1e-3"}),
-        Variant("paper-tenth-actor", PAPER | {ACTOR: "1e-4"}, (0,)),
-        Variant("paper-tenth-critic", PAPER | {CRITIC: "1e-3"}, (0,)),
-        Variant("paper-no-early-end", PAPER | {"walk.min_reward": "null"}, (0,)),
-        Variant("paper-normalized-advantage", PAPER | {"ppo.normalize_advantage": "true"}, (0,)),
-        Variant("paper-output-scale-1", PAPER | {"ppo.actor_output_scale": "1.0"}, (0,)),
-        Variant("paper-std-0.018", PAPER | {"ppo.action_std": "0.018"}, (0,)),
-    ),
-}
-"""What can be studied."""
 
 
 @dataclass(frozen=True)
@@ -225,22 +130,6 @@ def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
         "curve": curve,
         **held,
     }
-
-
-def expected(variant: Variant, seed: int, runs: Path) -> dict[str, Any]:
-    """The configuration of a variant's run in the folder `runs`, flat, as its config.json has it."""
-    settings = variant.of(seed, runs)
-    presets = {key: known[settings.pop(key, preset)] for key, (preset, known) in PRESETS.items()}
-    default = comparable(asdict(TrainConfig(**presets)))
-    chosen = {key: OmegaConf.select(OmegaConf.from_dotlist([f"{key}={value}"]), key) for key, value in settings.items()}
-    return json.loads(json.dumps(default | chosen))
-
-
-def deviations(config: dict[str, Any], variant: Variant, seed: int, runs: Path) -> list[str]:
-    """What a recorded configuration has otherwise than a variant's run in the folder `runs`, as key=value."""
-    found = LATER | present_names(config)
-    wanted = expected(variant, seed, runs)
-    return [f"{key}={found.get(key)}" for key, value in wanted.items() if found.get(key) != value]
 
 
 def to_goal(curve: dict[str, list[float]], reward: str, quantity: str) -> float | None:

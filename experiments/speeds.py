@@ -30,10 +30,10 @@ from cassie_mjx.physics.make import make_physics
 from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X
 from cassie_mjx.robot.model import ModelConfig
-from experiments import learning
+from experiments import learning, studies
 from experiments.interpolation import STARTS, Ride
 
-VARIANTS = {variant.name: variant for variant in (learning.DEFAULT, *learning.OTHER_SPEEDS)}
+VARIANTS = {variant.name: variant for variant in (studies.DEFAULT, *studies.OTHER_SPEEDS)}
 """How the policies of one speed are trained."""
 COMMANDS = np.linspace(0, FASTEST, 20)
 CHANGE_S, PROFILE_S = 2.0, 60.0
@@ -82,7 +82,7 @@ def single_speeds(config: SpeedsConfig) -> list[tuple[dict[str, Any], PolicyAgen
     for name, seed in product(config.policies, config.training_seeds):
         folder = Path(config.runs) / f"{name}-seed{seed}"
         if not folder.is_dir():
-            study = "walking" if name == learning.DEFAULT.name else "learning_speeds"
+            study = "walking" if name == studies.DEFAULT.name else "learning_speeds"
             command = f"python -m experiments.learning study={study} runs={config.runs}"
             raise ValueError(f"There is no run {folder}; make it with {command}.")
         policy = make_policy_agent(str(folder))

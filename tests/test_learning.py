@@ -11,18 +11,8 @@ from cassie_mjx.envs.config import WALK_PRESETS
 from cassie_mjx.training.config import TrainConfig
 from cassie_mjx.training.run_directory import comparable
 from experiments import learning
-from experiments.learning import (
-    ACTOR,
-    LATER,
-    STUDIES,
-    LearningConfig,
-    Variant,
-    deviations,
-    expected,
-    main,
-    summarize,
-    to_goal,
-)
+from experiments.learning import LearningConfig, main, summarize, to_goal
+from experiments.studies import ACTOR, LATER, STUDIES, Variant, deviations, expected
 
 RESULTS = Path(__file__).parents[1] / "experiments" / "results"
 TWO_SEEDS = Variant("tenth", {"ppo": "paper", ACTOR: "1e-4", "walk.min_reward": "null"}, (0, 1))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments import learning
+from experiments import studies
 
 ROOT = Path(__file__).parents[1]
 TEXT = " ".join((ROOT / "README.md").read_text().split())
@@ -253,5 +253,5 @@ def test_robustness_is_trained_as_in_the_study():
     commands = re.findall(r"python -m cassie_mjx\.train (walk=robust .*)", text)
     told = [dict(argument.split("=", 1) for argument in command.split()) for command in commands]
     first_run, _ = [settings.pop("run_dir") for settings in told]
-    first, second = (dict(variant.settings) for variant in learning.STUDIES["robust"])
+    first, second = (dict(variant.settings) for variant in studies.STUDIES["robust"])
     assert told == [first, second | {"init": first_run}]

@@ -10,7 +10,7 @@ from cassie_mjx.agents.make import make_policy_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy import PolicyAgent, policy_step
 from cassie_mjx.agents.shipped import shipped_policies
-from experiments import interpolation, learning, speeds
+from experiments import interpolation, speeds, studies
 from experiments.interpolation import InterpolationConfig, Ride, draw
 from experiments.speeds import SpeedsConfig, follow, profile
 
@@ -75,7 +75,7 @@ def test_the_policies_of_training_runs_are_measured_under_name_and_seed(tmp_path
         run = tmp_path / f"1x-seed{seed}"
         run.mkdir()
         shutil.copy(shipped_policies()["1x"], run / "best.npz")
-        held = learning.expected(learning.DEFAULT, seed, tmp_path)
+        held = studies.expected(studies.DEFAULT, seed, tmp_path)
         (run / "checkpoints" / f"step_{held['ppo.iterations']:06}").mkdir(parents=True)
         (run / "config.json").write_text(json.dumps({"config": held}))
     monkeypatch.setattr(speeds, "keep", lambda policy: [{"quantity": "speed_mps", "value": 1}])
