@@ -8,7 +8,7 @@ import numpy as np
 
 from cassie_mjx.reporting import page, plots
 from cassie_mjx.reporting.results import Result, blaming, read
-from cassie_mjx.reporting.tables import NO_FIGURE, ROWS, Table, cell, sources
+from cassie_mjx.reporting.tables import NO_FIGURE, ROWS, Table, cell, least, sources
 
 INTRODUCTION = (
     "Beside the figures of Xie, Berseth, Clary, Hurst, van de Panne, Feedback Control For Cassie With Deep "
@@ -59,11 +59,12 @@ def beside_the_paper(agents: Mapping[str, Sequence[Result]]) -> Table:
     )
     rows = []
     for row in ROWS:
-        cells = [cell(row, results) for results in agents.values()]
+        measured = ([r for r in results if least(r, row.quantities) is not None] for results in agents.values())
+        cells = [cell(row, results) for results in measured]
         if set(cells) - {NO_FIGURE}:
             rows.append((row.experiment, row.paper_controller, row.paper_policy, *cells, f"suite={row.suite}"))
     files = {result.name: result for results in agents.values() for result in results}
-    return Table(header, rows, [sources(list(files.values()))])
+    return Table(header, rows, [sources(list(files.values()), "")])
 
 
 def every_quantity(agents: Mapping[str, Sequence[Result]]) -> Table:

@@ -80,14 +80,14 @@ def span(values: Sequence[float], digits: int) -> str:
     return mean if low == high else f"{mean} ({low} to {high})"
 
 
-def sources(results: Sequence[Result]) -> str:
+def sources(results: Sequence[Result], folder: str = " in `experiments/results`") -> str:
     """Files, hardware and dates in one sentence."""
     if not results:
         return "No result file yet."
     files = ", ".join(f"`{result.name}`" for result in results)
     hardware = ", ".join(sorted({result.provenance["hardware"] for result in results}))
     dates = sorted({result.provenance["date"] for result in results})
-    return f"From {files} in `experiments/results`; {hardware}; {' to '.join(dict.fromkeys((dates[0], dates[-1])))}."
+    return f"From {files}{folder}; {hardware}; {' to '.join(dict.fromkeys((dates[0], dates[-1])))}."
 
 
 def markdown(table: Table) -> str:
