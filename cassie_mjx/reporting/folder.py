@@ -57,10 +57,14 @@ def beside_the_paper(agents: Mapping[str, Sequence[Result]]) -> Table:
         *(f"`{name}`" for name in agents),
         "command",
     )
+    # A file without any of the paper's figures is no seed of its agent.
+    seeds = [
+        [result for result in results if any(least(result, row.quantities) is not None for row in ROWS)]
+        for results in agents.values()
+    ]
     rows = []
     for row in ROWS:
-        measured = ([r for r in results if least(r, row.quantities) is not None] for results in agents.values())
-        cells = [cell(row, results) for results in measured]
+        cells = [cell(row, results) for results in seeds]
         if set(cells) - {NO_FIGURE}:
             rows.append((row.experiment, row.paper_controller, row.paper_policy, *cells, f"suite={row.suite}"))
     files = {result.name: result for results in agents.values() for result in results}
