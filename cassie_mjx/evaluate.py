@@ -23,7 +23,7 @@ from cassie_mjx.physics.make import ENGINES
 class EvaluateConfig(AgentConfig):
     """What to measure."""
 
-    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"suite": (*SUITES, "all"), "physics": ENGINES}
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"suite": (*SUITES, "all"), "physics": tuple(ENGINES)}
 
     suite: str = "all"
     """"walk", "delay", "terrain", "push", "all" of them, or "map": all pushes in 16 directions."""

@@ -87,14 +87,15 @@ def accelerations(
     physics: MjxPhysics, qpos: np.ndarray, qvel: np.ndarray, targets: np.ndarray, with_bias: bool
 ) -> np.ndarray:
     """Qacc [B, 32] of MJX under the PD law; without the loops' bias as `mjx.forward` has it."""
+    m = mjx.put_model(physics.model)
 
     def one(q: jax.Array, v: jax.Array, target: jax.Array) -> jax.Array:
         torque = cassie.pd_torque(target, q[cassie.ACTIVE_QPOS], v[cassie.ACTIVE_QVEL])
         d = mjx.make_data(physics.model).replace(qpos=q, qvel=v)
         if with_bias:
-            return physics.dynamics(d, torque, jnp.zeros(3), jnp.zeros(())).qacc
+            return physics.dynamics(m, d, torque, jnp.zeros(3), jnp.zeros(())).qacc
         applied = jnp.zeros(cassie.NV).at[cassie.ACTIVE_QVEL].set(torque)
-        return mjx.forward(mjx.put_model(physics.model), d.replace(qfrc_applied=applied)).qacc
+        return mjx.forward(m, d.replace(qfrc_applied=applied)).qacc
 
     return np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(qpos), jnp.asarray(qvel), jnp.asarray(targets)))
 

@@ -17,9 +17,9 @@ from cassie_mjx import cli
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy import saved_agent
 from cassie_mjx.evaluation.returns import walk_returns
-from cassie_mjx.physics.make import make_physics
+from cassie_mjx.physics.make import ENGINES, make_physics
 from cassie_mjx.physics.types import Physics
-from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, steps_per_control
+from cassie_mjx.robot.model import steps_per_control
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,7 @@ class EnginesConfig:
 
 def engines(rate: int) -> dict[str, Physics]:
     """Both engines at a physics rate."""
-    models = {"native": ModelConfig(physics_hz=rate), "mjx": replace(MJX_TRAINING, physics_hz=rate)}
-    return {engine: make_physics(engine, model) for engine, model in models.items()}
+    return {name: make_physics(name, replace(engine.training, physics_hz=rate)) for name, engine in ENGINES.items()}
 
 
 def main(config: EnginesConfig) -> None:

@@ -7,8 +7,7 @@ from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import stretch
-from cassie_mjx.physics.make import make_physics
-from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig
+from cassie_mjx.physics.make import ENGINES, check_engine, make_physics
 
 
 def make_env(
@@ -37,7 +36,8 @@ def make_env(
             raise ValueError(f"config={config!r} is not known; choose one of {', '.join(WALK_PRESETS)}.")
         config = WALK_PRESETS[config]
     factor, speeds = speed_factors(speed)
-    solver = MJX_TRAINING if physics == "mjx" else ModelConfig()
-    model = replace(solver, physics_hz=physics_hz, scene="terrain" if config.scenario.terrain_m else "flat")
+    check_engine(physics)
+    scene = "terrain" if config.scenario.terrain_m else "flat"
+    model = replace(ENGINES[physics].training, physics_hz=physics_hz, scene=scene)
     engine = make_physics(physics, model, config.scenario.delay_steps(physics_hz))
     return WalkEnv(engine, stretch(load_motion(motion), factor), config, robots, speeds)

@@ -74,7 +74,7 @@ class MjxPhysics:
             torque = cassie.pd_torque(target, q, qdot, kd_scale).astype(dtype)
             pushed = (scenario.push_start <= state.step) & (state.step < scenario.push_stop)
             push = scenario.push * pushed[:, None]
-            moved = jax.vmap(self._step)(state.qpos, state.qvel, state.qacc_warmstart, torque, push, scenario.ground)
+            moved = jax.vmap(self._step)(state.qpos, state.qvel, state.qacc_warmstart, torque, push, scenario)
             return self._record(PhysicsState(*moved, state.step + 1, state.history)), None
 
         return jax.lax.scan(substep, state, None, length=n_steps)[0]
@@ -88,18 +88,23 @@ class MjxPhysics:
         return PhysicsState(state.qpos, state.qvel, state.qacc_warmstart, state.step, history)
 
     def _step(
-        self, qpos: jax.Array, qvel: jax.Array, warmstart: jax.Array, torque: jax.Array, push: jax.Array, h: jax.Array
+        self,
+        qpos: jax.Array,
+        qvel: jax.Array,
+        warmstart: jax.Array,
+        torque: jax.Array,
+        push: jax.Array,
+        scenario: Scenario,
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
         """One physics step of one robot: `mjx.step` less what Cassie has not, plus the loops' bias acceleration."""
         m = self._mjx
         d = mjx.make_data(m, self._device).replace(qpos=qpos, qvel=qvel, qacc_warmstart=warmstart)
-        d = self.dynamics(d, torque, push, h)
+        d = self.dynamics(m, d, torque, push, scenario.ground)
         d = mjx.euler(m, d)
         return d.qpos, d.qvel, d.qacc_warmstart
 
-    def dynamics(self, d: mjx.Data, torque: jax.Array, push: jax.Array, h: jax.Array) -> mjx.Data:
+    def dynamics(self, m: mjx.Model, d: mjx.Data, torque: jax.Array, push: jax.Array, h: jax.Array) -> mjx.Data:
         """Forward dynamics of one robot under joint torques [10] and a push [3]: `d.qacc` and all that leads to it."""
-        m = self._mjx
         d = mjx.kinematics(m, d)
         d = self._floors.place(d, h)
         d = mjx.com_pos(m, d)

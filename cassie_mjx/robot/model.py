@@ -53,6 +53,8 @@ def steps_per_control(physics_hz: float) -> int:
     return round(steps)
 
 
+NATIVE_TRAINING = ModelConfig(physics_hz=500)
+"""What MuJoCo C trains on: the lowest rate that training is stable at; every return is measured at 2 kHz."""
 MJX_TRAINING = ModelConfig(physics_hz=1000, iterations=4, ls_iterations=6)
 """What MJX trains on. By `experiments.solver` one iteration diverges; from two on the loops hold as in MuJoCo C. The
 solver stops once it has converged, so the bounds of 4 and 6 leave a margin at hardly a cost."""

@@ -9,12 +9,10 @@ import jax
 from cassie_mjx.cli import check_choices
 from cassie_mjx.envs.config import WALK_PRESETS, WalkConfig
 from cassie_mjx.motion.command import speed_factors
+from cassie_mjx.physics.make import ENGINES
 from cassie_mjx.ppo import learner
 from cassie_mjx.ppo.config import PPO_PRESETS, PPOConfig
 from cassie_mjx.robot.model import CONTACTS, steps_per_control
-
-# Rates that training is stable and fast at, Hz; every return is measured at 2 kHz.
-TRAINING_HZ = {"native": 500, "mjx": 1000}
 
 PRESETS = {"walk": ("undisturbed", WALK_PRESETS), "ppo": ("parallel", PPO_PRESETS)}
 """Presets that a command line can choose from, and which is the default."""
@@ -43,7 +41,7 @@ def present_names(config: dict[str, Any]) -> dict[str, Any]:
 class TrainConfig:
     """A training run."""
 
-    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"physics": ("auto", *TRAINING_HZ), "contacts": CONTACTS}
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"physics": ("auto", *ENGINES), "contacts": CONTACTS}
 
     speed: str = "1x"
     """Factor on the pelvis x of the reference motion, from "0x" to "4x"; "any" commands one after another."""
@@ -101,6 +99,6 @@ def resolve_config(config: TrainConfig) -> TrainConfig:
     return replace(
         config,
         physics=physics,
-        physics_hz=config.physics_hz or TRAINING_HZ[physics],
+        physics_hz=config.physics_hz or ENGINES[physics].training.physics_hz,
         run_dir=config.run_dir or f"runs/{config.speed}-seed{config.seed}",
     )

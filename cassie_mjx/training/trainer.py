@@ -16,14 +16,14 @@ from cassie_mjx.envs.termination import Ends
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.motion.reference import ReferenceMotion
-from cassie_mjx.physics.make import make_physics
+from cassie_mjx.physics.make import ENGINES, make_physics
 from cassie_mjx.physics.types import Physics
 from cassie_mjx.ppo import learner, networks, normalizer, rollout
 from cassie_mjx.ppo.types import LearnerState, Policy, UpdateMetrics
 from cassie_mjx.robot import cassie
-from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, steps_per_control
+from cassie_mjx.robot.model import steps_per_control
 from cassie_mjx.training import devices, divergence
-from cassie_mjx.training.config import TRAINING_HZ, TrainConfig
+from cassie_mjx.training.config import TrainConfig
 from cassie_mjx.training.loggers import Stopwatch
 
 
@@ -90,8 +90,8 @@ class Trainer:
         # Where each part of a `RunState` belongs, if there is a choice.
         self._places: Any = None
         update = partial(learner.update, config.ppo)
-        model_hz = config.physics_hz or TRAINING_HZ[config.physics]
-        solver = MJX_TRAINING if config.physics == "mjx" else ModelConfig()
+        solver = ENGINES[config.physics].training
+        model_hz = config.physics_hz or solver.physics_hz
         scene = "terrain" if config.walk.scenario.terrain_m else "flat"
         model = replace(solver, physics_hz=model_hz, scene=scene, contacts=config.contacts)
         physics = make_physics(config.physics, model, config.walk.scenario.delay_steps(model_hz))
