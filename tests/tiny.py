@@ -19,6 +19,10 @@ TINY = PPOConfig(
     normalizer_samples=64,
 )
 
+_CHANGED = {name: value for name, value in vars(TINY).items() if value != getattr(PPOConfig(), name)}
+ARGUMENTS = ["evaluate_every=2", *(f"ppo.{name}={str(value).strip('()')}" for name, value in _CHANGED.items())]
+"""The same on a command line."""
+
 
 def config(folder, **changes):
     return replace(TrainConfig(ppo=TINY, physics="native", evaluate_every=2, run_dir=str(folder)), **changes)
