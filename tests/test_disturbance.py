@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cassie_mjx.envs import reward
-from cassie_mjx.envs.brax_env import CassieEnv
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.scenario import ScenarioConfig, draw_scenario, renew_scenario
 from cassie_mjx.envs.walk import WalkEnv
@@ -214,9 +213,3 @@ def test_bad_configurations(motion):
             ScenarioConfig(**{name: value})
     with pytest.raises(ValueError, match=r"delay_s=0.01 is 10 physics steps; this engine was made for 0 to 0\."):
         make(NativePhysics(load_model(MODEL)), motion, ScenarioConfig(delay_s=0.01))
-
-
-def test_brax_gets_no_disturbances(motion):
-
-    with pytest.raises(ValueError, match="is not for CassieEnv"):
-        CassieEnv(motion, WalkConfig(scenario=ScenarioConfig(push_n=100)))

@@ -1,7 +1,6 @@
-"""The walking task: observation table, rewards by hand, reset and step on both engines, Brax's wrappers."""
+"""The walking task: observation table, rewards by hand, reset and step on both engines."""
 
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +10,6 @@ from seeing import FULL, observe
 
 from cassie_mjx.control import command as motions
 from cassie_mjx.envs import command, reward
-from cassie_mjx.envs.brax_env import CassieEnv
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.termination import Ends
 from cassie_mjx.envs.walk import WalkEnv
@@ -291,32 +289,3 @@ def test_bad_configurations():
         WalkConfig(command_s=0)
     with pytest.raises(ValueError, match="episode_steps=0 must be at least 1"):
         WalkConfig(episode_steps=0)
-
-
-def test_brax_wrappers_drive_it(motion):
-    from brax.envs import training as wrappers
-
-    env = wrappers.wrap(CassieEnv(motion), episode_length=5)
-    state = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), ROBOTS))
-    assert state.obs.shape == (ROBOTS, 80)
-    assert env.unwrapped.dt == pytest.approx(0.032)
-    first = np.asarray(state.pipeline_state.motion.time)
-    step = jax.jit(env.step)
-    for _ in range(5):
-        state = step(state, jnp.zeros((ROBOTS, 10)))
-    assert state.done.all()
-    np.testing.assert_array_equal(np.asarray(state.pipeline_state.motion.time)[:, 0], first[:, 0])
-
-
-@pytest.mark.slow
-def test_brax_ppo_trains_on_it(motion):
-    from brax.training.agents.ppo import train as ppo
-
-    seen = []
-    train = partial(ppo.train, num_timesteps=4096, episode_length=50, num_envs=32, batch_size=32, num_minibatches=4)
-    train = partial(train, unroll_length=8, num_updates_per_batch=2, normalize_observations=True, num_evals=2, seed=0)
-    train(
-        environment=CassieEnv(motion), num_eval_envs=8, progress_fn=lambda steps, metrics: seen.append((steps, metrics))
-    )
-    assert seen[-1][0] >= 4096
-    assert np.isfinite(seen[-1][1]["eval/episode_reward"])
