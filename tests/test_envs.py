@@ -14,7 +14,7 @@ from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.termination import Ends
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.files import load_motion
-from cassie_mjx.motion.reference import mean_speed, sample, stretch
+from cassie_mjx.motion.reference import QUATERNIONS, mean_speed, sample, stretch
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Scenario
@@ -109,6 +109,20 @@ def test_a_step_follows_the_pd_law_to_the_next_sample(env, native, motion):
     np.testing.assert_allclose(after.physics.qpos[going], moved.qpos[going], atol=1e-5)
     expected = reward.total(reward.terms(reward.SCALES["weighted"], moved.qpos, np.asarray(ahead)))
     np.testing.assert_allclose(after.reward, expected, atol=1e-4)
+
+
+def test_quaternions_of_the_other_sign_are_the_same_robot(env):
+    """q and -q are one orientation: the same step, observation, reward and end."""
+    state = env.reset(jax.random.key(1))
+    opposite = state.physics.qpos * np.where(np.isin(np.arange(cassie.NQ), QUATERNIONS), -1, 1)
+    negated = replace(state, physics=replace(state.physics, qpos=opposite))
+    action = np.full((ROBOTS, 10), 0.1)
+    ours, theirs = (env.step(each, action, jax.random.key(2)) for each in (state, negated))
+    for name in ("observation", "final_observation", "reward", "terminated", "truncated"):
+        np.testing.assert_allclose(getattr(theirs, name), getattr(ours, name), atol=1e-5, err_msg=name)
+    np.testing.assert_allclose(theirs.physics.qvel, ours.physics.qvel, atol=1e-5)
+    going = ~np.asarray(ours.terminated)
+    assert (theirs.physics.qpos[going][:, QUATERNIONS] * ours.physics.qpos[going][:, QUATERNIONS]).sum() < 0
 
 
 def test_every_episode_has_a_speed_of_its_own(native, motion):
