@@ -1,13 +1,13 @@
 """Motion files: our own .npz, and the public trajectories of Cassie; read, checked and written."""
 
-import json
-import zipfile
+import warnings
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cassie_mjx.files import archive
 from cassie_mjx.motion.recording import beyond_limits
 from cassie_mjx.motion.reference import QUATERNION_NAMES, QUATERNIONS, ReferenceMotion, mix_qpos
 from cassie_mjx.robot import cassie
@@ -16,7 +16,7 @@ from cassie_mjx.robot.model import ModelConfig, load_model
 
 SHIPPED = ("walk",)
 
-_FORMAT, _VERSION = "cassie-mjx reference motion", 1
+FORMAT = "cassie-mjx reference motion"
 _ARRAYS = ("qpos", "qvel", "stride_length")
 
 # The public trajectory file: time, qpos, qvel, then motor torques, positions and velocities, 10 each.
@@ -42,7 +42,16 @@ def load_motion(name_or_path: str) -> ReferenceMotion:
     path = Path(name_or_path)
     if not path.is_file():
         raise ValueError(f"reference={name_or_path!r} is neither {', '.join(SHIPPED)} nor a file.")
-    return read_motion(path)[0] if path.suffix == ".npz" else read_trajectory(path)
+    if path.suffix != ".npz":
+        return read_trajectory(path)
+    motion, _, has_digest = _read(path)
+    if not has_digest:
+        warnings.warn(
+            f"{path} is of version 1 of its format, whose damage can go unnoticed; "
+            "experiments.record_reference writes motions with their SHA-256.",
+            stacklevel=2,
+        )
+    return motion
 
 
 def shipped_path(name: str) -> Path:
@@ -51,14 +60,13 @@ def shipped_path(name: str) -> Path:
 
 
 def save_motion(path: Path, motion: ReferenceMotion, provenance: dict[str, Any]) -> None:
-    """Write `motion` and where it came from to `path`, whole or not at all."""
+    """Write `motion` and where it came from to `path` with a digest, whole or not at all.
+
+    Raises:
+      OSError: it cannot be written; a file of that name is as it was.
+    """
     content: dict[str, Any] = {name: np.asarray(getattr(motion, name), np.float64) for name in _ARRAYS}
-    content |= {"periodic": motion.periodic}
-    content |= {"format": _FORMAT, "version": _VERSION, "provenance": json.dumps(provenance)}
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as file:
-        np.savez(file, **content)
-    partial.replace(path)
+    archive.write(path, FORMAT, content | {"periodic": motion.periodic}, provenance)
 
 
 def read_motion(path: Path) -> tuple[ReferenceMotion, dict[str, Any]]:
@@ -67,22 +75,20 @@ def read_motion(path: Path) -> tuple[ReferenceMotion, dict[str, Any]]:
     Raises:
       ValueError: the file is not readable, not of this format and version, or not a motion of Cassie.
     """
-    names = ("format", "version", "provenance", *_ARRAYS)
-    try:
-        with np.load(path, allow_pickle=False) as content:
-            found = {name: np.asarray(content[name]) for name in names if name in content}
-            # Files from before motions that end have no such entry.
-            periodic = bool(content["periodic"]) if "periodic" in content else True
-        if len(found) < len(names) or str(found["format"]) != _FORMAT:
-            raise ValueError(f"it is not a {_FORMAT}; experiments.record_reference makes one.")
-        version, provenance = int(found["version"]), json.loads(str(found["provenance"]))
-    except (OSError, EOFError, TypeError, ValueError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} cannot be read: {error}") from error
-    if version != _VERSION:
-        raise ValueError(f"{path} has version {version} of the format; this program reads version {_VERSION}.")
-    motion = ReferenceMotion(found["qpos"], found["qvel"], found["stride_length"], periodic)
-    _check(motion, path)
+    motion, provenance, _ = _read(path)
     return motion, provenance
+
+
+def _read(path: Path) -> tuple[ReferenceMotion, dict[str, Any], bool]:
+    """The motion of a file, its provenance, and whether a digest vouches for them."""
+    content, provenance, has_digest = archive.read(path, FORMAT)
+    # Files from before motions that end have no such entry.
+    periodic = content.pop("periodic", np.array(True))
+    if content.keys() != set(_ARRAYS) or (periodic.dtype, periodic.shape) != (np.dtype(bool), ()):
+        raise ValueError(f"{path} is damaged: it does not have {', '.join(_ARRAYS)}, periodic, and no more.")
+    motion = ReferenceMotion(content["qpos"], content["qvel"], content["stride_length"], bool(periodic))
+    _check(motion, path)
+    return motion, provenance, has_digest
 
 
 def read_trajectory(path: Path) -> ReferenceMotion:
