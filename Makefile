@@ -37,7 +37,7 @@ bench: setup     ## throughput of both engines on this machine
 	$(RUN) -m experiments.throughput out=throughput.json
 
 report: setup    ## report/index.html and the table of README.md, from experiments/results
-	$(RUN) -m experiments.report out=report/index.html readme=README.md
+	$(RUN) -m experiments.report out=report/index.html readme=README.md overwrite=true
 
 clean:           ## remove the virtual environment and caches
 	rm -rf $(VENV) .pytest_cache .ruff_cache dist

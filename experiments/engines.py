@@ -11,8 +11,6 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from cassie_mjx import cli
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy import saved_agent
@@ -32,6 +30,8 @@ class EnginesConfig:
     """Physics rates, Hz."""
     out: str = "engines.json"
     """Result file."""
+    overwrite: bool = False
+    """Whether to replace a file that is no result of this experiment."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for no run or rate, a run that is not there, or a rate that is none."""
@@ -53,7 +53,7 @@ def engines(rate: int) -> dict[str, Physics]:
 
 def main(config: EnginesConfig) -> None:
     """Walk each policy on each engine and write the returns."""
-    out = cli.check_writable(config.out)
+    out = cli.check_output(config.out, cli.RESULT, config.overwrite)
     policies = {run: NumpyPolicy.load(Path(run) / "best.npz") for run in config.runs}
     held = {run: json.loads((Path(run) / "config.json").read_text()) for run in config.runs}
     agents = {run: saved_agent(run, policy) for run, policy in policies.items()}
@@ -71,9 +71,9 @@ def main(config: EnginesConfig) -> None:
             }
             returns = walk_returns(agent, physics)
             rows.append(row | {name: round(value, 2) for name, value in returns.items()})
-            Console(stderr=True).print(rows[-1])
+            cli.console().print(rows[-1])
     origins = {run: policy.provenance for run, policy in policies.items()}
-    cli.write_json(out, {"rows": rows, "policies": origins, "provenance": cli.provenance(**asdict(config))})
+    cli.write_result(out, {"rows": rows, "policies": origins, "provenance": cli.provenance(**asdict(config))})
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.reporting import page, plots
@@ -46,6 +45,8 @@ class ReportConfig:
     """The web page; a folder that is missing is made."""
     readme: str = ""
     """Markdown file with the two markers, whose text between them is written anew; none if empty."""
+    overwrite: bool = False
+    """Whether to replace a file that is no report of ours, in place of the web page."""
 
 
 INTRODUCTION = (
@@ -284,14 +285,14 @@ def main(config: ReportConfig) -> None:
     if not folder.is_dir():
         raise ValueError(f"results={folder} is not a folder; name the one with the result files.")
     Path(config.out).parent.mkdir(exist_ok=True)
-    paths = {config.out: cli.check_writable(config.out)}
+    paths = {config.out: cli.check_output(config.out, page.REPORT, config.overwrite)}
     texts = {config.out: whole_page(folder)}
     if config.readme:
         paths[config.readme] = cli.check_writable(config.readme)
         texts[config.readme] = with_block(paths[config.readme].read_text(), block(folder))
     for name, text in texts.items():
         cli.write_text(paths[name], text)
-        Console(stderr=True).print(f"{name}, {len(text) / 1e3:.0f} kB")
+        cli.console().print(f"{name}, {len(text) / 1e3:.0f} kB", soft_wrap=True)
 
 
 if __name__ == "__main__":

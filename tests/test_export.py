@@ -197,7 +197,7 @@ def test_another_bound_on_the_inputs_is_refused(path):
 def test_wrong_inputs_are_refused(path, tmp_path):
     with pytest.raises(ValueError, match=r"shape \(79,\) was given; this policy takes 80"):
         NumpyPolicy.load(path)(np.zeros(79))
-    with pytest.raises(ValueError, match="There is no file"):
+    with pytest.raises(ValueError, match="There is no policy file"):
         NumpyPolicy.load(tmp_path / "missing.npz")
 
 

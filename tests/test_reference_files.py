@@ -61,7 +61,7 @@ def test_a_saved_motion_that_is_none(tmp_path, motion, change, sentence):
 
 def test_a_file_of_another_kind(tmp_path, motion):
     path = tmp_path / "bad.npz"
-    with pytest.raises(ValueError, match=r"There is no file .*bad.npz"):
+    with pytest.raises(ValueError, match=r"There is no reference motion file .*bad.npz"):
         read_motion(path)
     path.write_bytes(shipped_path("walk").read_bytes()[:3000])
     with pytest.raises(ValueError, match=r"bad.npz is damaged"):

@@ -77,7 +77,7 @@ def read(path: Path, kind: str) -> Archive:
       ValueError: there is no such file, it is damaged, or it is of another kind or version.
     """
     if not path.is_file():
-        raise ValueError(f"There is no file {path}.")
+        raise ValueError(f"There is no {kind.removeprefix('cassie-mjx ')} file {path}.")
     try:
         content, has_digest = _checked(path)
         arrays = {name: _array(name, data) for name, data in _members(content).items()}
