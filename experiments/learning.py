@@ -86,7 +86,13 @@ def train(folder: Path, variant: Variant, seed: int) -> None:
         return
     settings = variant.of(seed, folder.parent) | {"run_dir": str(folder), "resume": "true"}
     arguments = [f"{key}={value}" for key, value in settings.items()]
-    status = subprocess.run([sys.executable, "-m", "cassie_mjx.train", *arguments], check=False).returncode
+    with subprocess.Popen([sys.executable, "-m", "cassie_mjx.train", *arguments]) as training:
+        try:
+            status = training.wait()
+        except SystemExit:
+            # SIGTERM is passed on: the training saves a checkpoint and ends. Ctrl-C reaches it by itself.
+            training.terminate()
+            raise
     if status:
         raise ValueError(f"Training in {folder} ended with status {status}; the same command goes on from there.")
 
