@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, ClassVar
 
-from rich.console import Console
 from rich.status import Status
 from rich.table import Table
 
@@ -33,6 +32,8 @@ class EvaluateConfig(AgentConfig):
     """The engine: "native", MuJoCo C, which every headline figure comes from, or "mjx"; both at 2 kHz."""
     out: str = "evaluation.json"
     """Result file."""
+    overwrite: bool = False
+    """Whether to replace a file that is no evaluation."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for a schedule, suite or engine that is not known."""
@@ -41,8 +42,8 @@ class EvaluateConfig(AgentConfig):
 
 def main(config: EvaluateConfig) -> None:
     """Measure, show each suite's figures as it ends, and write the result."""
-    out = cli.check_writable(config.out)
-    console = Console(stderr=True)
+    out = cli.check_output(config.out, cli.RESULT, config.overwrite)
+    console = cli.console()
     agent = config.agent()
     rows: list[dict[str, Any]] = []
     cells: dict[str, Any] = {}
@@ -59,7 +60,7 @@ def main(config: EvaluateConfig) -> None:
         if result.cells is not None:
             cells[suite] = result.cells
     provenance = cli.provenance(**asdict(config), subject=dict(agent.provenance), seconds=seconds)
-    cli.write_json(out, {"rows": rows, **cells, "provenance": provenance})
+    cli.write_result(out, {"rows": rows, **cells, "provenance": provenance})
 
 
 def _show(status: Status, suite: str, over: int, walking: int) -> None:

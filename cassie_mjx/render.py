@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from rich.console import Console
 from rich.progress import track
 
 from cassie_mjx import cli
@@ -16,6 +15,7 @@ from cassie_mjx.evaluation.draw import (
     CAMERAS,
     ENCODINGS,
     FASTEST_GIF,
+    FILM,
     draw_frames,
     load_scene,
     open_renderer,
@@ -34,6 +34,8 @@ class RenderConfig(AgentConfig):
 
     out: str = "walk.mp4"
     """Video file, .mp4 or .gif."""
+    overwrite: bool = False
+    """Whether to replace a file that is no film of ours."""
     seconds: float = 10.0
     """Duration, s; a film ends a second after a fall."""
     phase: float = 0.0
@@ -84,8 +86,8 @@ class RenderConfig(AgentConfig):
 
 def main(config: RenderConfig) -> None:
     """Film the walk, and say how it went."""
-    cli.check_writable(config.out)
-    agent, console = config.agent(), Console(stderr=True)
+    cli.check_output(config.out, FILM, config.overwrite)
+    agent, console = config.agent(), cli.console()
     with open_renderer(load_scene(config.terrain), config.width, config.height) as renderer:
         with console.status("walking"):
             shots = list(film(agent, config.trial, config.phase, config.push_at, config.fps))
@@ -93,7 +95,8 @@ def main(config: RenderConfig) -> None:
         frames = draw_frames(renderer, drawn, config.camera, config.terrain)
         write_video(Path(config.out), frames, config.width, config.height, config.fps)
     fell_s = shots[-1].fell_s
-    console.print(f"{config.out}: {agent.name} {'stayed up' if fell_s is None else f'fell after {fell_s:.2f} s'}.")
+    how = "stayed up" if fell_s is None else f"fell after {fell_s:.2f} s"
+    console.print(f"{config.out}: {agent.name} {how}.", soft_wrap=True)
 
 
 def run() -> None:

@@ -6,9 +6,8 @@ Any folder of files that `cassie_mjx.evaluate` has written will do. Imports neit
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-
 from cassie_mjx import cli
+from cassie_mjx.reporting import page
 from cassie_mjx.reporting.folder import evaluations, folder_page
 
 
@@ -19,17 +18,17 @@ class ReportConfig:
     results: str = "."
     """Folder of evaluation files; those in folders below it are shown, too."""
     out: str = "report.html"
-    """The web page, which needs no other file. An earlier report is replaced, any other file is not."""
+    """The web page, which needs no other file. An earlier report is replaced."""
+    overwrite: bool = False
+    """Whether to replace a file that is no report."""
 
 
 def main(config: ReportConfig) -> None:
     """Write the page, and say what was left out."""
-    folder, console = Path(config.results), Console(stderr=True, soft_wrap=True, highlight=False)
+    folder, console = Path(config.results), cli.console()
     if not folder.is_dir():
         raise ValueError(f"results={folder} is not a folder; name the one with the evaluation files.")
-    out = cli.check_writable(config.out)
-    if out.exists() and "<title>Cassie MJX" not in out.read_text(errors="replace")[:1000]:
-        raise ValueError(f"{out} is no report of ours, and would be replaced by one; name another file.")
+    out = cli.check_output(config.out, page.REPORT, config.overwrite)
     found, skipped = evaluations(folder)
     if not found:
         raise ValueError(
@@ -37,8 +36,8 @@ def main(config: ReportConfig) -> None:
         )
     cli.write_text(out, folder_page(found))
     for sentence in skipped:
-        console.print(f"Skipped: {sentence}")
-    console.print(f"{config.out}: {len(found)} evaluation files.")
+        console.print(f"Skipped: {sentence}", soft_wrap=True)
+    console.print(f"{config.out}: {len(found)} evaluation files.", soft_wrap=True)
 
 
 def run() -> None:

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from mujoco import mjx
-from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.physics.mjx import MjxPhysics
@@ -32,6 +31,8 @@ class AgreementConfig:
 
     out: str = "agreement.json"
     """Result file."""
+    overwrite: bool = False
+    """Whether to replace a file that is no result of this experiment."""
     speeds: tuple[float, ...] = (0.0, 0.3, 1.0, 3.0)
     """Standard deviation of the random joint velocities, rad/s (and m/s for the pelvis); 3 is the swing of a walk."""
     robots: int = 16
@@ -128,12 +129,12 @@ def compare_motion(config: AgreementConfig, speed: float) -> list[dict[str, Any]
 
 def main(config: AgreementConfig) -> None:
     """Compare and write the result."""
-    out = cli.check_writable(config.out)
+    out = cli.check_output(config.out, cli.RESULT, config.overwrite)
     rows = [compare_accelerations(config, speed) for speed in config.speeds]
     rows += [row for speed in config.speeds for row in compare_motion(config, speed)]
     for row in rows:
-        Console(stderr=True).print({key: value for key, value in row.items() if key != "difference_max_of_each_dof"})
-    cli.write_json(out, {"rows": rows, "provenance": cli.provenance(seed=config.seed)})
+        cli.console().print({key: value for key, value in row.items() if key != "difference_max_of_each_dof"})
+    cli.write_result(out, {"rows": rows, "provenance": cli.provenance(seed=config.seed)})
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ from itertools import islice
 
 import mujoco
 import numpy as np
-from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents.heuristic import HeuristicAgent
@@ -34,6 +33,8 @@ class ContactsConfig:
 
     out: str = "contacts.json"
     """Result file."""
+    overwrite: bool = False
+    """Whether to replace a file that is no result of this experiment."""
     push_n: float = 60.0
     """Force of the 0.2 s pushes, N."""
     seconds: float = 4.0
@@ -71,7 +72,7 @@ def smallest_distances(qpos: np.ndarray) -> dict[str, float]:
 
 def main(config: ContactsConfig) -> None:
     """Walk, measure and write the result."""
-    out = cli.check_writable(config.out)
+    out = cli.check_output(config.out, cli.RESULT, config.overwrite)
     rows = []
     for name in CONTROLLERS:
         for push_n in (0.0, config.push_n):
@@ -88,8 +89,8 @@ def main(config: ContactsConfig) -> None:
                         "samples": len(qpos),
                     }
                 )
-                Console(stderr=True).print(rows[-1])
-    cli.write_json(out, {"rows": rows, "provenance": cli.provenance()})
+                cli.console().print(rows[-1])
+    cli.write_result(out, {"rows": rows, "provenance": cli.provenance()})
 
 
 if __name__ == "__main__":

@@ -11,14 +11,13 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from cassie_mjx import cli
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy import saved_agent
 from cassie_mjx.evaluation.returns import walk_returns
 from cassie_mjx.physics.make import ENGINES, make_physics
 from cassie_mjx.physics.types import Physics
+from cassie_mjx.reporting.results import blaming
 from cassie_mjx.robot.model import steps_per_control
 
 
@@ -32,6 +31,8 @@ class EnginesConfig:
     """Physics rates, Hz."""
     out: str = "engines.json"
     """Result file."""
+    overwrite: bool = False
+    """Whether to replace a file that is no result of this experiment."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for no run or rate, a run that is not there, or a rate that is none."""
@@ -50,29 +51,30 @@ def engines(rate: int) -> dict[str, Physics]:
     return {name: make_physics(name, replace(engine.training, physics_hz=rate)) for name, engine in ENGINES.items()}
 
 
+def origin(run: str, policy: NumpyPolicy) -> dict[str, Any]:
+    """What a run's policy was trained on. Raise ValueError if the run does not say so."""
+    path = Path(run) / "config.json"
+    with blaming(path):
+        config = json.loads(path.read_text())["config"]
+        engine, rate = config["physics"], config["physics_hz"]
+        return {"trained_on": engine, "trained_at_hz": rate, "samples": policy.provenance["samples"]}
+
+
 def main(config: EnginesConfig) -> None:
     """Walk each policy on each engine and write the returns."""
-    out = cli.check_writable(config.out)
+    out = cli.check_output(config.out, cli.RESULT, config.overwrite)
     policies = {run: NumpyPolicy.load(Path(run) / "best.npz") for run in config.runs}
-    held = {run: json.loads((Path(run) / "config.json").read_text()) for run in config.runs}
+    origins = {run: origin(run, policy) for run, policy in policies.items()}
     agents = {run: saved_agent(run, policy) for run, policy in policies.items()}
     rows: list[dict[str, Any]] = []
     for rate in config.rates:
         for (engine, physics), (run, agent) in product(engines(rate).items(), agents.items()):
-            trained = held[run]["config"]
-            row = {
-                "policy": run,
-                "trained_on": trained["physics"],
-                "trained_at_hz": trained["physics_hz"],
-                "samples": policies[run].provenance["samples"],
-                "walks_on": engine,
-                "physics_hz": rate,
-            }
+            row = {"policy": run, **origins[run], "walks_on": engine, "physics_hz": rate}
             returns = walk_returns(agent, physics)
             rows.append(row | {name: round(value, 2) for name, value in returns.items()})
-            Console(stderr=True).print(rows[-1])
-    origins = {run: policy.provenance for run, policy in policies.items()}
-    cli.write_json(out, {"rows": rows, "policies": origins, "provenance": cli.provenance(**asdict(config))})
+            cli.console().print(rows[-1])
+    found = {run: policy.provenance for run, policy in policies.items()}
+    cli.write_result(out, {"rows": rows, "policies": found, "provenance": cli.provenance(**asdict(config))})
 
 
 if __name__ == "__main__":

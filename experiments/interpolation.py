@@ -9,12 +9,10 @@ how far the speed, averaged over a stride, is from the blended reference's. The 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import islice
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents import blending
@@ -29,6 +27,7 @@ from cassie_mjx.motion.reference import RAMP_PER_S
 from cassie_mjx.physics.make import make_physics
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
 from cassie_mjx.robot.model import ModelConfig
+from experiments import pictures
 
 STARTS = 20
 
@@ -45,6 +44,8 @@ class InterpolationConfig:
     """Result file."""
     plot: str = ""
     """File for a picture of the speeds; none if empty."""
+    overwrite: bool = False
+    """Whether to replace a file that is no result of this experiment."""
 
 
 class Ride(NamedTuple):
@@ -115,8 +116,8 @@ def rough_ground(policies: Sequence[PolicyAgent]) -> list[dict[str, Any]]:
     ]
 
 
-def draw(path: Path, rides: dict[str, Ride]) -> None:
-    """Draw commanded and measured speeds over time, a panel for each ride."""
+def draw(rides: dict[str, Ride]) -> Figure:
+    """Commanded and measured speeds over time, a panel for each ride."""
     figure = Figure(figsize=(5 * len(rides), 3.5), layout="constrained")
     axes = figure.subplots(1, len(rides), sharey=True, squeeze=False)[0]
     for axis, (name, walk) in zip(axes, rides.items(), strict=True):
@@ -124,13 +125,14 @@ def draw(path: Path, rides: dict[str, Ride]) -> None:
         axis.plot(walk.time_s, walk.commanded_mps, color="black", lw=1.5, ls="--")
         axis.set(xlabel="s", title=f"{name}\n{len(walk.up_mps)} of {len(walk.fell)} up")
     axes[0].set_ylabel("speed over a stride, m/s\n(dashed: commanded)")
-    figure.savefig(path, dpi=90)
+    return figure
 
 
 def main(config: InterpolationConfig) -> None:
     """Ride, measure, write the result and draw it."""
-    paths = [cli.check_writable(path) for path in (config.out, config.plot) if path]
-    console, rides, rows = Console(stderr=True), {}, []
+    out = cli.check_output(config.out, cli.RESULT, config.overwrite)
+    plot = pictures.check(config.plot, config.overwrite, out) if config.plot else None
+    console, rides, rows = cli.console(), {}, []
     policies = [make_policy_agent(name) for name in config.policies]
     for chain in (policies[1:3], policies[2:4], policies):
         blend = BlendAgent(chain, "ramp")
@@ -142,9 +144,9 @@ def main(config: InterpolationConfig) -> None:
         console.print(*rows[-3:], sep="\n")
     curves = {name: walk.curve() for name, walk in rides.items()}
     provenance = cli.provenance(**asdict(config), subject={policy.name: policy.provenance for policy in policies})
-    cli.write_json(paths[0], {"rows": rows, "rides": curves, "provenance": provenance})
-    if config.plot:
-        draw(Path(config.plot), rides)
+    cli.write_result(out, {"rows": rows, "rides": curves, "provenance": provenance})
+    if plot:
+        pictures.save_figure(config.plot, plot, draw(rides))
 
 
 if __name__ == "__main__":

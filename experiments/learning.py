@@ -16,13 +16,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from rich.console import Console
 from rich.table import Table
 
 from cassie_mjx import cli
 from cassie_mjx.envs.scenario import ScenarioConfig
 from cassie_mjx.reporting import plots
 from cassie_mjx.training import checkpoint
+from experiments import pictures
 from experiments.studies import STUDIES, Variant, deviations, expected
 
 # The return that the paper reports.
@@ -59,6 +59,8 @@ class LearningConfig:
     """Result file."""
     plot: str = ""
     """File for a picture of the curves; none if empty."""
+    overwrite: bool = False
+    """Whether to replace a file that is no result of this experiment."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for a study that is not known."""
@@ -84,7 +86,13 @@ def train(folder: Path, variant: Variant, seed: int) -> None:
         return
     settings = variant.of(seed, folder.parent) | {"run_dir": str(folder), "resume": "true"}
     arguments = [f"{key}={value}" for key, value in settings.items()]
-    status = subprocess.run([sys.executable, "-m", "cassie_mjx.train", *arguments], check=False).returncode
+    with subprocess.Popen([sys.executable, "-m", "cassie_mjx.train", *arguments]) as training:
+        try:
+            status = training.wait()
+        except SystemExit:
+            # SIGTERM is passed on: the training saves a checkpoint and ends. Ctrl-C reaches it by itself.
+            training.terminate()
+            raise
     if status:
         raise ValueError(f"Training in {folder} ended with status {status}; the same command goes on from there.")
 
@@ -184,8 +192,9 @@ def _span(row: dict[str, Any], unit: float, digits: int) -> str:
 
 def main(config: LearningConfig) -> None:
     """Train what is missing, then write the result and draw it."""
-    paths = [cli.check_writable(path) for path in (config.out, config.plot) if path]
-    console = Console(stderr=True)
+    out = cli.check_output(config.out, cli.RESULT, config.overwrite)
+    plot = pictures.check(config.plot, config.overwrite, out) if config.plot else None
+    console = cli.console()
     rows, runs = [], []
     for variant in STUDIES[config.study]:
         for seed in variant.seeds:
@@ -198,9 +207,9 @@ def main(config: LearningConfig) -> None:
     provenance = cli.provenance(study=config.study, commits_of_the_runs=commits)
     if commits != [provenance["commit"]]:
         console.print(f"The runs were made at {', '.join(commits)}, not at {provenance['commit']}.")
-    cli.write_json(paths[0], {"rows": rows, "runs": runs, "provenance": provenance})
-    if config.plot:
-        plots.learning(runs, "samples").savefig(config.plot, dpi=150)
+    cli.write_result(out, {"rows": rows, "runs": runs, "provenance": provenance})
+    if plot:
+        pictures.save_figure(config.plot, plot, plots.learning(runs, "samples"), dpi=150)
 
 
 def _rounded(value: float) -> float:

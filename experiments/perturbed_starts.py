@@ -9,7 +9,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents.heuristic import HeuristicAgent
@@ -48,6 +47,8 @@ class PerturbedConfig:
     """Velocities of the ten active joints, rad/s."""
     out: str = "perturbed_starts.json"
     """Result file."""
+    overwrite: bool = False
+    """Whether to replace a file that is no result of this experiment."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for starts that cannot be made."""
@@ -95,14 +96,14 @@ def figures(result: EpisodeResult) -> list[tuple[str, float, str]]:
 
 def main(config: PerturbedConfig) -> None:
     """Walk, write the result and show it."""
-    out = cli.check_writable(config.out)
+    out = cli.check_output(config.out, cli.RESULT, config.overwrite)
     rows: list[dict[str, Any]] = []
     for name in CONTROLLERS:
         for quantity, value, unit in figures(walk(name, config)):
             figure = {"quantity": quantity, "value": value, "unit": unit, "n": config.robots}
             rows.append({"subject": f"controller:{name}", **figure})
-            Console(stderr=True).print(rows[-1])
-    cli.write_json(out, {"rows": rows, "provenance": cli.provenance(**asdict(config))})
+            cli.console().print(rows[-1])
+    cli.write_result(out, {"rows": rows, "provenance": cli.provenance(**asdict(config))})
 
 
 if __name__ == "__main__":

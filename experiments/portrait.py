@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import mujoco
-from matplotlib.image import imsave
 
 from cassie_mjx import cli
 from cassie_mjx.evaluation.draw import CAMERAS, load_scene, open_renderer
 from cassie_mjx.motion.files import load_motion
+from experiments import pictures
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,9 @@ class PortraitConfig:
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"camera": CAMERAS}
 
     out: str = "cassie.png"
-    """Picture file."""
+    """Picture file, .png."""
+    overwrite: bool = False
+    """Whether to replace a file that is no picture of ours."""
     camera: str = "three-quarter"
     """A camera of the robot: "side", "front" or "three-quarter"."""
     sample: int = 5
@@ -36,14 +38,15 @@ class PortraitConfig:
 
 def main(config: PortraitConfig) -> None:
     """Render one pose of the reference motion."""
-    cli.check_writable(config.out)
+    out = pictures.check(config.out, config.overwrite)
     scene = load_scene()
     data = mujoco.MjData(scene)
     data.qpos[:] = load_motion("walk").qpos[config.sample]
     mujoco.mj_forward(scene, data)
     with open_renderer(scene, config.width, config.height) as renderer:
         renderer.update_scene(data, camera=config.camera)
-        imsave(config.out, renderer.render())
+        pixels = renderer.render()
+    pictures.save_image(config.out, out, pixels)
 
 
 if __name__ == "__main__":

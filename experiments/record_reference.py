@@ -8,22 +8,20 @@ it is random. With `plot=FILE.png` the motion is drawn as curves, with `strip=FI
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from pathlib import Path
 from typing import ClassVar
 
 import mujoco
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.image import imsave
-from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents.heuristic import HeuristicAgent
 from cassie_mjx.envs.termination import fallen
 from cassie_mjx.evaluation.draw import load_scene, open_renderer
 from cassie_mjx.evaluation.steady import begin, walk_on
+from cassie_mjx.files.archive import is_kind
 from cassie_mjx.heuristic.config import CONTROLLERS
-from cassie_mjx.motion.files import save_motion
+from cassie_mjx.motion.files import FORMAT, save_motion
 from cassie_mjx.motion.recording import heading_x, make_periodic, velocity_error
 from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.native import NativePhysics
@@ -31,8 +29,10 @@ from cassie_mjx.robot import cassie
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
 from cassie_mjx.robot.loops import loop_error
 from cassie_mjx.robot.model import ModelConfig, load_model
+from experiments import pictures
 
 STRIDE_M, STRIDE_TOLERANCE_M = 0.5, 0.02
+MOTION = cli.Kind("a motion of ours", lambda path: is_kind(path, FORMAT))
 FRAMES, FRAME_HEIGHT, FRAME_WIDTH = 8, 300, 190
 
 
@@ -54,10 +54,14 @@ class RecordConfig:
     """File for a picture of joint angles and foot heights; none if empty."""
     strip: str = ""
     """File for a strip of rendered frames; none if empty."""
+    overwrite: bool = False
+    """Whether to replace a file that is no motion or picture of ours."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for a recording that cannot be made."""
         cli.check_choices(self)
+        if not self.out.endswith(".npz"):
+            raise ValueError(f"out={self.out} is no motion file; name one that ends in .npz.")
         if not self.speeds:
             raise ValueError("speeds is empty; name at least one speed in m/s.")
         if self.strides < 43:
@@ -157,8 +161,8 @@ def statistics(
     }
 
 
-def draw(path: Path, physics: NativePhysics, motion: ReferenceMotion) -> None:
-    """Draw the angles of the active joints and the heights of toes and heels over one stride."""
+def draw(physics: NativePhysics, motion: ReferenceMotion) -> Figure:
+    """The angles of the active joints and the heights of toes and heels over one stride."""
     time = CONTROL_PERIOD_S * np.arange(len(motion.qpos))
     angles = np.rad2deg(motion.qpos[:, cassie.ACTIVE_QPOS]).reshape(-1, 2, 5)
     heights = foot_points(physics, motion.qpos)[..., 2].reshape(-1, 2, 2)
@@ -174,11 +178,11 @@ def draw(path: Path, physics: NativePhysics, motion: ReferenceMotion) -> None:
     for axis in axes[1]:
         axis.set_xlabel("s")
     axes[0, 0].legend()
-    figure.savefig(path, dpi=90)
+    return figure
 
 
-def render(path: Path, motion: ReferenceMotion) -> None:
-    """Render frames of one stride, evenly spaced, side by side."""
+def render(motion: ReferenceMotion) -> np.ndarray:
+    """Frames of one stride, evenly spaced, side by side."""
     scene = load_scene()
     data = mujoco.MjData(scene)
     frames = []
@@ -188,7 +192,7 @@ def render(path: Path, motion: ReferenceMotion) -> None:
             mujoco.mj_forward(scene, data)
             renderer.update_scene(data, camera="side")
             frames.append(renderer.render())
-    imsave(path, np.concatenate(frames, axis=1))
+    return np.concatenate(frames, axis=1)
 
 
 def record(config: RecordConfig) -> tuple[ReferenceMotion, dict[str, float]]:
@@ -206,15 +210,17 @@ def record(config: RecordConfig) -> tuple[ReferenceMotion, dict[str, float]]:
 
 def main(config: RecordConfig) -> None:
     """Record, print the figures, and write the motion and its pictures."""
-    paths = [cli.check_writable(path) for path in (config.out, config.plot, config.strip) if path]
+    out = cli.check_output(config.out, MOTION, config.overwrite)
+    plot = pictures.check(config.plot, config.overwrite) if config.plot else None
+    strip = pictures.check(config.strip, config.overwrite, *filter(None, [plot])) if config.strip else None
     motion, figures = record(config)
     for name, value in figures.items():
-        Console(stderr=True).print(f"{name:30} {value:.6g}")
-    save_motion(paths[0], motion, cli.provenance(preset=config.preset, strides=config.strides, **figures))
-    if config.plot:
-        draw(Path(config.plot), NativePhysics(load_model(ModelConfig())), motion)
-    if config.strip:
-        render(Path(config.strip), motion)
+        cli.console().print(f"{name:30} {value:.6g}")
+    save_motion(out, motion, cli.provenance(preset=config.preset, strides=config.strides, **figures))
+    if plot:
+        pictures.save_figure(config.plot, plot, draw(NativePhysics(load_model(ModelConfig())), motion))
+    if strip:
+        pictures.save_image(config.strip, strip, render(motion))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.reporting import page, plots
@@ -49,6 +48,8 @@ class ReportConfig:
     """Markdown file whose text between the two markers is to be the table of the README; none if empty."""
     page: str = ""
     """Markdown file whose text between the two markers is to be all tables; none if empty."""
+    overwrite: bool = False
+    """Whether to replace a file that is no report of ours, in place of the web page."""
 
 
 INTRODUCTION = (
@@ -292,7 +293,7 @@ def main(config: ReportConfig) -> None:
     if not folder.is_dir():
         raise ValueError(f"results={folder} is not a folder; name the one with the result files.")
     Path(config.out).parent.mkdir(exist_ok=True)
-    paths = {config.out: cli.check_writable(config.out)}
+    paths = {config.out: cli.check_output(config.out, page.REPORT, config.overwrite)}
     texts = {config.out: whole_page(folder)}
     for name, content in ((config.readme, readme_block), (config.page, block)):
         if name:
@@ -300,7 +301,7 @@ def main(config: ReportConfig) -> None:
             texts[name] = with_block(paths[name].read_text(), content(folder))
     for name, text in texts.items():
         cli.write_text(paths[name], text)
-        Console(stderr=True).print(f"{name}, {len(text) / 1e3:.0f} kB")
+        cli.console().print(f"{name}, {len(text) / 1e3:.0f} kB", soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.physics.mjx import MjxPhysics
@@ -31,6 +30,8 @@ class SolverConfig:
 
     out: str = "solver.json"
     """Result file."""
+    overwrite: bool = False
+    """Whether to replace a file that is no result of this experiment."""
     robots: int = 32
     """Robots, each in its own phase of the motion."""
     control_steps: int = 18
@@ -75,8 +76,8 @@ def measure(config: SolverConfig, engine: str, model: ModelConfig, physics: Phys
 
 def main(config: SolverConfig) -> None:
     """Measure every setup and write the table."""
-    out = cli.check_writable(config.out)
-    console = Console(stderr=True)
+    out = cli.check_output(config.out, cli.RESULT, config.overwrite)
+    console = cli.console()
     rows = []
 
     def add(*case: Any) -> None:
@@ -93,7 +94,7 @@ def main(config: SolverConfig) -> None:
         for iterations, ls_iterations in ((1, 4), (2, 4), (3, 4), (4, 6), (8, 8)):
             model = ModelConfig(hz, contacts="walking", iterations=iterations, ls_iterations=ls_iterations)
             add("mjx", model, MjxPhysics(load_mjx_model(model)), "ours")
-    cli.write_json(out, {"rows": rows, "provenance": cli.provenance(seed=config.seed)})
+    cli.write_result(out, {"rows": rows, "provenance": cli.provenance(seed=config.seed)})
 
 
 if __name__ == "__main__":

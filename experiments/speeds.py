@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents import blending
@@ -30,7 +29,7 @@ from cassie_mjx.physics.make import make_physics
 from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X
 from cassie_mjx.robot.model import ModelConfig
-from experiments import learning, studies
+from experiments import learning, pictures, studies
 from experiments.interpolation import STARTS, Ride
 
 VARIANTS = {variant.name: variant for variant in (studies.DEFAULT, *studies.OTHER_SPEEDS)}
@@ -58,6 +57,8 @@ class SpeedsConfig:
     """Result file."""
     plot: str = ""
     """File for a picture; none if empty."""
+    overwrite: bool = False
+    """Whether to replace a file that is no result of this experiment."""
 
     def __post_init__(self) -> None:
         """Raise ValueError if there is nothing to measure."""
@@ -133,8 +134,8 @@ def approached(factors: np.ndarray) -> np.ndarray:
     return np.array(reached, np.float32)
 
 
-def draw(path: Path, rows: list[dict[str, Any]], walk: Ride | None) -> None:
-    """Draw tracked against commanded speed, and the profile with what became of it."""
+def draw(rows: list[dict[str, Any]], walk: Ride | None) -> Figure:
+    """Tracked against commanded speed, and the profile with what became of it."""
     widths = (1,) if walk is None else (1, 2)
     figure = Figure(figsize=(3.7 * sum(widths), 3.8), layout="constrained")
     left, *rest = figure.subplots(1, len(widths), width_ratios=widths, squeeze=False)[0]
@@ -147,13 +148,14 @@ def draw(path: Path, rows: list[dict[str, Any]], walk: Ride | None) -> None:
         right.plot(walk.time_s, walk.up_mps.T, color="tab:blue", lw=0.6, alpha=0.6)
         right.plot(walk.time_s, walk.commanded_mps, color="black", lw=1.2, ls="--")
         right.set(xlabel="s", ylabel="speed over a stride, m/s", title=f"{len(walk.up_mps)} of {len(walk.fell)} up")
-    figure.savefig(path, dpi=90)
+    return figure
 
 
 def main(config: SpeedsConfig) -> None:
     """Walk, write the result and draw it."""
-    paths = [cli.check_writable(path) for path in (config.out, config.plot) if path]
-    console, rows, walk = Console(stderr=True), [], None
+    out = cli.check_output(config.out, cli.RESULT, config.overwrite)
+    plot = pictures.check(config.plot, config.overwrite, out) if config.plot else None
+    console, rows, walk = cli.console(), [], None
     agents = single_speeds(config)
     origins = {policy.name: policy.provenance for _, policy in agents}
     if config.any_speed:
@@ -169,9 +171,9 @@ def main(config: SpeedsConfig) -> None:
         console.print(*whose.values(), {figure["quantity"]: round(figure["value"], 3) for figure in figures})
     provenance = cli.provenance(**asdict(config), subject=origins)
     result = {"rows": rows, "provenance": provenance}
-    cli.write_json(paths[0], result | ({"profile": walk.curve()} if walk else {}))
-    if config.plot:
-        draw(Path(config.plot), rows, walk)
+    cli.write_result(out, result | ({"profile": walk.curve()} if walk else {}))
+    if plot:
+        pictures.save_figure(config.plot, plot, draw(rows, walk))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents.make import make_agent
@@ -35,6 +34,8 @@ class StrideConfig:
     """A policy, as `cassie_mjx.evaluate` takes it."""
     out: str = "stride.json"
     """Result file."""
+    overwrite: bool = False
+    """Whether to replace a file that is no result of this experiment."""
 
 
 def walked(policy: PolicyAgent, control_steps: int) -> np.ndarray:
@@ -77,7 +78,7 @@ def beside(walk: Any, motion: Any) -> Any:
 
 def main(config: StrideConfig) -> None:
     """Walk, compare and write the result."""
-    out = cli.check_writable(config.out)
+    out = cli.check_output(config.out, cli.RESULT, config.overwrite)
     policy = make_agent(config.policy)
     if not isinstance(policy, PolicyAgent):
         raise ValueError(f"policy={config.policy} imitates no reference; name a trained policy.")
@@ -91,10 +92,10 @@ def main(config: StrideConfig) -> None:
         {"subject": policy.name, "quantity": quantity, "value": float(value), "unit": "rad", "n": 1}
         for quantity, value in (("joint_error_mean_rad", error.mean()), ("joint_error_max_rad", error.max()))
     ]
-    Console(stderr=True).print(*rows, sep="\n")
+    cli.console().print(*rows, sep="\n")
     curves = {"time_s": (CONTROL_PERIOD_S * np.arange(samples + 1)).round(3).tolist(), "joints": beside(*angles)}
     provenance = cli.provenance(**asdict(config), subject=dict(policy.provenance))
-    cli.write_json(out, {"rows": rows, **curves, "feet": beside(*feet), "provenance": provenance})
+    cli.write_result(out, {"rows": rows, **curves, "feet": beside(*feet), "provenance": provenance})
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
@@ -35,6 +34,8 @@ class SurvivalConfig(AgentConfig):
 
     out: str = "survival.json"
     """Result file."""
+    overwrite: bool = False
+    """Whether to replace a file that is no result of this experiment."""
 
 
 def terrain(agent: Agent, setup: EvalSetup) -> list[dict[str, Any]]:
@@ -69,15 +70,15 @@ def rows(name: str, quantity: str, level_unit: str, levels: Sequence[float], up:
 
 def main(config: SurvivalConfig) -> None:
     """Walk all levels and write the result."""
-    out = cli.check_writable(config.out)
-    agent, console = config.agent(), Console(stderr=True)
+    out = cli.check_output(config.out, cli.RESULT, config.overwrite)
+    agent, console = config.agent(), cli.console()
     with console.status("walking") as status:
         setup = EvalSetup(progress=lambda over, walking: status.update(f"{over} trials over, {walking} robots walking"))
         found = [*terrain(agent, setup), *delay(agent, setup)]
     for row in found:
         console.print(f"{row['quantity']:17} {row['level']:5g} {row['level_unit']:2} {row['value']:.2f}")
     provenance = cli.provenance(**asdict(config), subject=dict(agent.provenance))
-    cli.write_json(out, {"rows": found, "provenance": provenance})
+    cli.write_result(out, {"rows": found, "provenance": provenance})
 
 
 if __name__ == "__main__":

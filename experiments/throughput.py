@@ -16,7 +16,6 @@ import jax
 import mujoco
 import mujoco.rollout
 import numpy as np
-from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.physics.mjx import MjxPhysics
@@ -40,6 +39,8 @@ class ThroughputConfig:
 
     out: str = "throughput.json"
     """Result file."""
+    overwrite: bool = False
+    """Whether to replace a file that is no result of this experiment."""
     native_robots: tuple[int, ...] = (1, 16, 64, 256)
     """Batch sizes for MuJoCo C."""
     mjx_robots: tuple[int, ...] = (64, 256)
@@ -145,11 +146,11 @@ def row(engine: str, model: ModelConfig, robots: int, times: list[float], physic
 
 def main(config: ThroughputConfig) -> None:
     """Time both engines and write the result."""
-    out = cli.check_writable(config.out)
+    out = cli.check_output(config.out, cli.RESULT, config.overwrite)
     # Each program is to be compiled, not loaded, so that its compile time means what it says.
     jax.config.update("jax_enable_compilation_cache", False)
     threads = os.cpu_count() or 1
-    console = Console(stderr=True)
+    console = cli.console()
     rows = []
     for robots in config.native_robots:
         for model in (ModelConfig(), ModelConfig(physics_hz=1000), ModelConfig(physics_hz=500)):
@@ -162,7 +163,7 @@ def main(config: ThroughputConfig) -> None:
     for model, robots in cases:
         rows.append(time_mjx(config, model, robots))
         console.print(rows[-1])
-    cli.write_json(out, {"rows": rows, "provenance": cli.provenance(seed=config.seed)})
+    cli.write_result(out, {"rows": rows, "provenance": cli.provenance(seed=config.seed)})
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ from typing import Any, ClassVar, NamedTuple
 import cma
 import jax
 import numpy as np
-from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents.heuristic import HeuristicAgent
@@ -94,6 +93,8 @@ class TuneConfig:
     """Seed of the start and of CMA-ES."""
     out: str = "controller.json"
     """Result file."""
+    overwrite: bool = False
+    """Whether to replace a file that is no result of this experiment."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for a search that cannot be made."""
@@ -224,8 +225,8 @@ def on_time(robots: AgentState, period_s: float) -> np.ndarray:
 
 def main(config: TuneConfig) -> None:
     """Search, and write the best candidate with its cost beside those of the start and of the shipped preset."""
-    out = cli.check_writable(config.out)
-    console = Console(stderr=True, soft_wrap=True)
+    out = cli.check_output(config.out, cli.RESULT, config.overwrite)
+    console = cli.console()
     evaluate = Evaluator(config.preset)
     names = parameters(config.preset)
     start = np.random.default_rng(config.seed).normal(0.0, config.spread, len(names))
@@ -234,7 +235,7 @@ def main(config: TuneConfig) -> None:
         start, 0.5, {"popsize": config.population, "seed": config.seed + 1, "verbose": -9}
     )
     shipped, first = evaluate([candidate(config.preset, x) for x in (np.zeros(len(names)), start)])
-    console.print(f"shipped {describe(shipped)}\nstart   {describe(first)}")
+    console.print(f"shipped {describe(shipped)}\nstart   {describe(first)}", soft_wrap=True)
     best, best_x = first, start
     for generation in range(config.generations):
         asked = search.ask()
@@ -243,14 +244,15 @@ def main(config: TuneConfig) -> None:
         leader = min(range(len(scores)), key=lambda i: scores[i].cost)
         if scores[leader].cost < best.cost:
             best, best_x = scores[leader], asked[leader]
-        console.print(f"{generation + 1}/{config.generations} {describe(scores[leader])}, best cost {best.cost:.3f}")
+        line = f"{generation + 1}/{config.generations} {describe(scores[leader])}, best cost {best.cost:.3f}"
+        console.print(line, soft_wrap=True)
     content = {
         "preset": config.preset,
         "parameters": asdict(candidate(config.preset, best_x)),
         "scores": {name: score._asdict() for name, score in (("found", best), ("start", first), ("shipped", shipped))},
         "provenance": cli.provenance(**asdict(config), cma=importlib.metadata.version("cma")),
     }
-    cli.write_json(out, content)
+    cli.write_result(out, content)
 
 
 def describe(score: Score) -> str:

@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
@@ -35,6 +34,8 @@ class VerdictsConfig(AgentConfig):
 
     out: str = "verdicts.json"
     """Result file."""
+    overwrite: bool = False
+    """Whether to replace a file that is no result of this experiment."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def row(kind: str, native: np.ndarray, mjx: np.ndarray, border: np.ndarray) -> d
 
 def main(config: VerdictsConfig) -> None:
     """Walk the cells on both engines and write what differs."""
-    out, console = cli.check_writable(config.out), Console(stderr=True)
+    out, console = cli.check_output(config.out, cli.RESULT, config.overwrite), cli.console()
     agent = config.agent()
     rows, differing, verdicts = [], [], []
     for subset in subsets():
@@ -120,7 +121,7 @@ def main(config: VerdictsConfig) -> None:
     rows.append(row("all", *np.concatenate(verdicts, axis=1)))
     console.print(rows[-1])
     provenance = cli.provenance(**asdict(config), subject=dict(agent.provenance))
-    cli.write_json(out, {"rows": rows, "differing": differing, "provenance": provenance})
+    cli.write_result(out, {"rows": rows, "differing": differing, "provenance": provenance})
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ SOURCES = sorted(PACKAGE.rglob("*.py")) + sorted((ROOT / "experiments").glob("*.
 
 # The house from the ground up: a package may import its own layer and those below. A new one finds its place here.
 LAYERS = (
+    {"files"},
     {"robot", "cli", "numpy_policy"},
     {"motion", "control", "reporting"},
     {"physics"},
@@ -26,7 +27,16 @@ LAYERS = (
     {"train", "evaluate", "render", "view", "export", "report"},
 )
 # What needs NumPy alone, so that a user's simulator does too.
-LIGHT = ("robot.cassie", "robot.arrays", "robot.rotation", "motion.reference", "motion.command", "control", "reporting")
+LIGHT = (
+    "files",
+    "robot.cassie",
+    "robot.arrays",
+    "robot.rotation",
+    "motion.reference",
+    "motion.command",
+    "control",
+    "reporting",
+)
 HEAVY = {"jax", "flax", "mujoco", "brax", "optax", "orbax"}
 
 
@@ -71,6 +81,10 @@ def distributions(paths):
     # Of several distributions that share a package, as mujoco and mujoco-mjx do, the one of its name counts.
     found = {top: owners[top] for top in tops - sys.stdlib_module_names - {"cassie_mjx", "experiments"}}
     return {canonicalize_name(top if top in names else names[0]) for top, names in found.items()}
+
+
+def test_files_are_read_and_written_with_numpy_alone():
+    assert distributions((PACKAGE / "files").glob("*.py")) == {"numpy"}
 
 
 def test_what_is_imported_is_declared_where_it_is_needed():

@@ -41,6 +41,17 @@ def test_rows_are_the_returns_on_each_engine_at_each_rate(tmp_path, monkeypatch)
         assert {name: row[name] for name in expected} == {k: pytest.approx(v, abs=0.01) for k, v in expected.items()}
 
 
+@pytest.mark.parametrize(("text", "why"), [("{}", "no 'config'"), ("[", "Expecting value"), (None, "No such file")])
+def test_a_run_that_does_not_say_how_it_was_trained_is_refused_at_the_door(tmp_path, monkeypatch, text, why):
+    policy = learner.init(jax.random.key(0), PPOConfig(), FULL.size, cassie.NU, 1).policy
+    save_policy(tmp_path / "best.npz", policy, load_motion("walk"), 1.0, 1.0, {"samples": 7})
+    if text:
+        (tmp_path / "config.json").write_text(text)
+    monkeypatch.setattr(engines, "engines", lambda _: pytest.fail("it went to work"))
+    with pytest.raises((ValueError, OSError), match=why):
+        main(EnginesConfig((str(tmp_path),), (2000,), str(tmp_path / "out.json")))
+
+
 def test_a_directory_without_a_policy_is_refused(tmp_path):
     with pytest.raises(ValueError, match="holds no best.npz"):
         EnginesConfig((str(tmp_path),))

@@ -62,7 +62,7 @@ def test_a_file_that_cannot_be_written_is_refused_before_the_work(tmp_path):
 
 def test_an_unknown_policy_ends_the_command_with_one_sentence(tmp_path):
     (tmp_path / "a.json").write_text("precious")
-    command = [sys.executable, "-m", "cassie_mjx.evaluate", "policy=9x", f"out={tmp_path}/a.json"]
+    command = [sys.executable, "-m", "cassie_mjx.evaluate", "policy=9x", f"out={tmp_path}/a.json", "overwrite=true"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     known = "0x, 1x, 1x-robust, 2x, 3x, 4x, any, controller:stiff,"

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -50,9 +51,10 @@ def path(policy, tmp_path):
 
 
 def rewrite(path, **change):
+    """The file as one of version 1, without a digest, with other arrays."""
     with np.load(path) as archive:
-        content = dict(archive)
-    np.savez(path, **(content | change))
+        content: dict[str, Any] = dict(archive) | {"version": 1} | change
+    np.savez(path, **content)
 
 
 def test_numpy_acts_as_jax_does(policy, path, seen):
@@ -120,27 +122,36 @@ def test_a_file_cut_short_is_refused(path):
     ("change", "sentence"),
     [
         ({"format": "a song"}, "is not a cassie-mjx policy"),
-        ({"version": 99}, "has version 99; this program reads version 1"),
+        ({"version": 99}, "has version 99; this program reads versions 1 and 2"),
+        ({"version": 2}, "is damaged: files of version 2, and no others, end with their SHA-256"),
         ({"mean": np.zeros(79, np.float32)}, r"mean has shape \(79,\) instead of \(80,\)"),
         ({"weight_1": np.zeros((256, 9), np.float32)}, r"weight_1 has shape \(256, 9\) instead of \(256, 256\)"),
         ({"joints": ["knee"]}, "10 outputs for 1 joints"),
         ({"bias_0": np.zeros(255, np.float32)}, r"bias_0|weight_0"),
-        ({"p_gain": np.zeros(9)}, r"p_gain has shape \(9,\) instead of \(10,\)"),
+        ({"p_gain": np.ones(9)}, r"p_gain has shape \(9,\) instead of \(10,\)"),
         ({"joints": 7}, "a part of it is not of its kind"),
         ({"clip": "wide"}, "a part of it is not of its kind"),
-        ({"provenance": "{"}, "a part of it is not of its kind"),
+        ({"provenance": "{"}, "is damaged: its provenance is no JSON"),
+        ({"provenance": 9999 * "[" + 9999 * "]"}, "is damaged: its provenance is no JSON"),
+        ({"provenance": 9999 * '{"a":' + "1" + 9999 * "}"}, "is damaged: its provenance is no JSON"),
         ({"song": 1}, "song missing or too much"),
-        ({"version": [1, 1]}, r"has version \[1 1\]; this program reads version 1"),
+        ({"version": [1, 1]}, r"has version \[1 1\]; this program reads versions 1 and 2"),
         ({"layers": [3, 3]}, r"not of its kind \(layers has shape \(2,\) and is to be one number\)"),
         ({"layers": 4}, r"not of its kind \(layers is 4, and there are weights of 3\)"),
         ({"observation": [1, 2]}, r"not of its kind \(observation is not a list of texts\)"),
         ({"d_gain": ["5"] * 10}, r"not of its kind \(d_gain does not hold numbers\)"),
         ({"weight_0": [["a"]]}, r"not of its kind \(weight_0 does not hold numbers\)"),
         ({"std": np.zeros(80)}, r"not of its kind \(std is to be above 0\)"),
-        ({"provenance": "[]"}, r"not of its kind \(provenance has no names\)"),
+        ({"clip": -1.0}, r"not of its kind \(clip is to be above 0\)"),
+        ({"p_gain": -np.ones(10)}, r"not of its kind \(p_gain is to be above 0\)"),
+        ({"samples": -1}, r"not of its kind \(samples is to be at least 0\)"),
+        ({"provenance": "[]"}, "is damaged: its provenance has no names"),
+        ({"mirror_sides": np.array([54, 61])}, "mirror_action, mirror_observation missing or too much"),
+        ({"reference_qpos": np.zeros((22, 34))}, r"\(22, 34\) and reference_qvel \(22, 32\) instead of a row of 35"),
+        ({"reference_qvel": np.zeros((22, 35))}, r"reference_qvel \(22, 35\) instead of a row of 35 and one of 32"),
         (
             {"reference_qvel": np.zeros((25, 32))},
-            r"\(22, 35\) and reference_qvel \(25, 32\) instead of a row of each",
+            r"\(22, 35\) and reference_qvel \(25, 32\) instead of a row of 35",
         ),
         (
             {"reference_qpos": np.zeros(35), "reference_qvel": np.zeros(32)},
@@ -186,7 +197,7 @@ def test_another_bound_on_the_inputs_is_refused(path):
 def test_wrong_inputs_are_refused(path, tmp_path):
     with pytest.raises(ValueError, match=r"shape \(79,\) was given; this policy takes 80"):
         NumpyPolicy.load(path)(np.zeros(79))
-    with pytest.raises(ValueError, match="no policy file"):
+    with pytest.raises(ValueError, match="There is no policy file"):
         NumpyPolicy.load(tmp_path / "missing.npz")
 
 

@@ -1,6 +1,7 @@
 """Learning studies: which settings, which runs, and the figures by hand."""
 
 import json
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,7 +23,7 @@ def fake_training(monkeypatch, status=0, changed=None):
     """Instead of a training, the files of one: seed k returns 100 k + 200, 300 at 3000, 6000 samples."""
     calls = []
 
-    def run(command, check):
+    def begin(command):
         calls.append(command)
         values = dict(argument.split("=") for argument in command[3:])
         folder = learning.Path(values["run_dir"])
@@ -33,9 +34,9 @@ def fake_training(monkeypatch, status=0, changed=None):
         for k, row in enumerate(rows):
             row["eval/return_plain"], row["eval/return_weighted"] = 200 + 100 * k * int(values["seed"]), 10 * k
         (folder / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
-        return SimpleNamespace(returncode=status)
+        return nullcontext(SimpleNamespace(wait=lambda: status))
 
-    monkeypatch.setattr(learning, "subprocess", SimpleNamespace(run=run))
+    monkeypatch.setattr(learning, "subprocess", SimpleNamespace(Popen=begin))
     monkeypatch.setitem(STUDIES, "test", (TWO_SEEDS,))
     return calls
 
@@ -172,3 +173,16 @@ def test_what_was_measured_is_what_the_study_is_now(study):
     variants = {variant.name: variant for variant in STUDIES[study]}
     for run in runs:
         assert not deviations(run["config"], variants[run["variant"]], run["seed"], Path("runs/studies"))
+
+
+def test_a_study_that_is_told_to_end_tells_its_training(monkeypatch, tmp_path):
+    told = []
+
+    def wait():
+        raise SystemExit(143)
+
+    training = nullcontext(SimpleNamespace(wait=wait, terminate=lambda: told.append("SIGTERM")))
+    monkeypatch.setattr(learning, "subprocess", SimpleNamespace(Popen=lambda _: training))
+    with pytest.raises(SystemExit):
+        learning.train(tmp_path / "run", TWO_SEEDS, 0)
+    assert told == ["SIGTERM"]

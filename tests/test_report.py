@@ -213,6 +213,7 @@ def test_two_engines(everything):
     ("name", "text", "why"),
     [
         ("evaluate/1x-seed0.json", "{", "Expecting property name"),
+        ("evaluate/1x-seed0.json", 9999 * "[", "recursion"),
         ("evaluate/1x-seed0.json", "[1]", "list indices must be integers"),
         ("controller_stiff.json", '{"rows": [], "provenance": {"command": "x"}}', "no 'commit'"),
         ("walking.json", json.dumps({"rows": [], "provenance": PROVENANCE}), "no 'runs'"),
@@ -235,7 +236,7 @@ def test_a_malformed_file_is_named_in_one_sentence_and_nothing_is_written(everyt
     out = tmp_path / "page.html"
     out.write_text("precious")
     with pytest.raises(ValueError, match="is not a result as expected") as refused:
-        main(ReportConfig(str(everything), str(out)))
+        main(ReportConfig(str(everything), str(out), overwrite=True))
     assert str(everything / name) in str(refused.value)
     assert why in str(refused.value)
     assert out.read_text() == "precious"

@@ -26,6 +26,8 @@ from cassie_mjx.ppo import learner
 from cassie_mjx.ppo.config import PPO_PRESETS
 from cassie_mjx.robot import cassie
 
+OLD = pytest.warns(UserWarning, match="of version 1 of its format")
+
 
 def test_the_controller_starts_along_its_stride_and_walks_on(model):
     physics, agent = NativePhysics(model), HeuristicAgent("stiff")
@@ -118,14 +120,20 @@ def test_a_policy_of_other_gains_gets_one_sentence(tmp_path):
         content = dict(archive)
     for name in ("p_gain", "d_gain"):
         changed = content[name] * np.where(np.arange(10) == 3, 0.5, 1.0)
-        np.savez(tmp_path / "policy.npz", **(content | {name: changed}))
-        with pytest.raises(ValueError, match="PD gains other than the published ones with all D scaled alike"):
+        np.savez(tmp_path / "policy.npz", **(content | {"version": 1, name: changed}))
+        with (
+            pytest.warns(UserWarning, match="of version 1"),
+            pytest.raises(ValueError, match="PD gains other than the published ones with all D scaled alike"),
+        ):
             make_agent(str(tmp_path / "policy.npz"))
 
 
 def test_a_policy_of_another_robot_gets_one_sentence(tmp_path):
     with np.load(shipped_policies()["1x"]) as archive:
         content = dict(archive)
-    np.savez(tmp_path / "policy.npz", **(content | {"joints": content["joints"][::-1]}))
-    with pytest.raises(ValueError, match="drives joints or imitates a motion that this version's robot has not"):
+    np.savez(tmp_path / "policy.npz", **(content | {"version": 1, "joints": content["joints"][::-1]}))
+    with (
+        pytest.warns(UserWarning, match="of version 1"),
+        pytest.raises(ValueError, match="drives joints that this version's robot has not, or in another order"),
+    ):
         make_agent(str(tmp_path / "policy.npz"))

@@ -200,7 +200,7 @@ def test_training_goes_on_from_any_policy_that_fits(path, tmp_path):
     ("change", "sentence"),
     [
         ({"mirror_action": None}, "mirror_action missing or too much"),
-        ({"mirror_observation": None}, "mirror_action, mirror_sides missing or too much"),
+        ({"mirror_observation": None}, "mirror_observation missing or too much"),
         ({"mirror_observation": np.arange(1, 80)}, "mirror_observation does not have each of 1 to 80 once"),
         ({"mirror_action": np.arange(10)}, "mirror_action does not have each of 1 to 10 once"),
         ({"mirror_action": np.ones(10, int)}, "mirror_action does not have each of 1 to 10 once"),
@@ -214,7 +214,7 @@ def test_training_goes_on_from_any_policy_that_fits(path, tmp_path):
 )
 def test_a_mirror_that_does_not_fit_is_refused(path, change, sentence):
     with np.load(path) as archive:
-        content = dict(archive) | change
+        content = dict(archive) | {"version": 1} | change
     np.savez(path, **{name: value for name, value in content.items() if value is not None})
     with pytest.raises(ValueError, match=sentence):
         NumpyPolicy.load(path)

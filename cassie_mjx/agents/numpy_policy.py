@@ -4,10 +4,8 @@ The file holds everything between a state of the robot and the PD targets: weigh
 joint names, gains, the layout of the observation and, for a policy that learned one step, its mirror.
 """
 
-import json
 import re
-import zipfile
-import zlib
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,16 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cassie_mjx.control.network import Network, action
+from cassie_mjx.files import archive
+from cassie_mjx.robot import cassie
 
 FORMAT = "cassie-mjx policy"
-VERSION = 1
 
 _ARRAYS = ("mean", "std", "reference_qpos", "reference_qvel", "p_gain", "d_gain")
 _NUMBERS = ("clip", "samples", "speed", "reference_stride_length")
 _LISTS = ("joints", "observation")
-
-# What NumPy and zipfile raise on content that is none of theirs.
-_UNREADABLE = (OSError, EOFError, ValueError, TypeError, KeyError, RuntimeError, zipfile.BadZipFile, zlib.error)
 
 
 class Mirror(NamedTuple):
@@ -117,18 +113,25 @@ class NumpyPolicy:
 
     @classmethod
     def load(cls, path: str | Path) -> "NumpyPolicy":
-        """Read a policy file.
+        """Read a policy file; warn of one from before files had a digest.
 
         Raises:
           ValueError: the file is missing, damaged, of another format, holds a number that is not finite, or its parts
             do not fit together.
         """
-        content = _read(Path(path))
+        found = archive.read(Path(path), FORMAT)
+        _check_names(found.arrays, Path(path))
         try:
-            policy = cls(**_fields(content))
+            policy = cls(**_fields(found.arrays), provenance=found.provenance)
         except ValueError as error:
             raise ValueError(f"{path} is damaged: a part of it is not of its kind ({error}).") from error
         _check_fit(policy, Path(path))
+        if not found.has_digest:
+            warnings.warn(
+                f"{path} is of version 1 of its format, whose damage can go unnoticed; "
+                f"python -m cassie_mjx.export run={path} out=NEW.npz writes it anew, with its SHA-256.",
+                stacklevel=2,
+            )
         return policy
 
 
@@ -137,24 +140,13 @@ def _reflected(values: np.ndarray, places: np.ndarray) -> np.ndarray:
     return values[..., abs(places).astype(int) - 1] * np.sign(places).astype(values.dtype)
 
 
-def _read(path: Path) -> dict[str, np.ndarray]:
-    if not path.is_file():
-        raise ValueError(f"There is no policy file {path}.")
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            content = {name: np.asarray(archive[name]) for name in archive.files}
-    except _UNREADABLE as error:
-        raise ValueError(f"{path} is damaged or no policy file: {error}.") from error
-    if str(content.get("format")) != FORMAT:
-        raise ValueError(f"{path} is not a {FORMAT}; make one with python -m cassie_mjx.export.")
-    if str(content.get("version")) != str(VERSION):
-        raise ValueError(f"{path} has version {content.get('version')}; this program reads version {VERSION}.")
-    expected = {"format", "version", "provenance", "layers", *_ARRAYS, *_NUMBERS, *_LISTS}
+def _check_names(content: Mapping[str, np.ndarray], path: Path) -> None:
+    """Raise ValueError unless a file has the arrays of a policy, and no others."""
+    expected = {"layers", *_ARRAYS, *_NUMBERS, *_LISTS}
     expected |= {f"{kind}_{i}" for kind in ("weight", "bias") for i in range(_layers(content))}
-    expected |= set(MIRROR_ARRAYS) if MIRROR_ARRAYS[0] in content else set()
+    expected |= set(MIRROR_ARRAYS) if set(MIRROR_ARRAYS) & content.keys() else set()
     if content.keys() != expected:
         raise ValueError(f"{path} is damaged: {', '.join(sorted(expected ^ content.keys()))} missing or too much.")
-    return content
 
 
 def _fields(content: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -166,13 +158,14 @@ def _fields(content: dict[str, np.ndarray]) -> dict[str, Any]:
     fields["weights"] = tuple((_array(content, f"weight_{i}"), _array(content, f"bias_{i}")) for i in layers)
     if _number(content, "layers") != len(layers) or not layers:
         raise ValueError(f"layers is {content['layers']}, and there are weights of {len(layers)}")
-    if not (fields["std"] > 0).all():
-        raise ValueError("std is to be above 0")
+    for name in ("std", "clip", "p_gain"):
+        if not np.all(fields[name] > 0):
+            raise ValueError(f"{name} is to be above 0")
+    for name in ("samples", "speed", "d_gain"):
+        if not np.all(fields[name] >= 0):
+            raise ValueError(f"{name} is to be at least 0")
     if MIRROR_ARRAYS[0] in content:
         fields["mirror"] = Mirror(*(_integers(content, name) for name in MIRROR_ARRAYS))
-    fields["provenance"] = json.loads(str(content["provenance"]))
-    if not isinstance(fields["provenance"], dict):
-        raise ValueError("provenance has no names")
     return fields
 
 
@@ -217,7 +210,7 @@ def _texts(content: Mapping[str, np.ndarray], name: str) -> tuple[str, ...]:
 
 def _check_fit(policy: NumpyPolicy, path: Path) -> None:
     """Raise ValueError unless the parts of a policy have sizes that fit together, and its reference samples."""
-    last = re.match(r"\d+:(\d+) ", policy.observation[-1]) if policy.observation else None
+    last = re.match(r"[0-9]+:([0-9]{1,9}) ", policy.observation[-1]) if policy.observation else None
     widths = [int(last[1]) if last else 0, *(bias.size for _, bias in policy.weights)]
     inputs, outputs = widths[0], widths[-1]
     layers = list(zip(policy.weights, pairwise(widths), strict=True))
@@ -239,10 +232,10 @@ def _check_fit(policy: NumpyPolicy, path: Path) -> None:
         if sides.shape != (2,) or sides[0] == sides[1] or not ((sides >= 1) & (sides <= inputs)).all():
             raise ValueError(f"{path} does not fit together: mirror_sides is not two of 1 to {inputs}.")
     qpos, qvel = policy.reference_qpos.shape, policy.reference_qvel.shape
-    if not len(qpos) == len(qvel) == 2 or qpos[0] != qvel[0] or qpos[0] == 0:
+    if (qpos[1:], qvel[1:]) != ((cassie.NQ,), (cassie.NV,)) or not qpos[0] == qvel[0] > 0:
         raise ValueError(
             f"{path} does not fit together: reference_qpos has shape {qpos} and reference_qvel {qvel} instead of a row "
-            "of each for every sample."
+            f"of {cassie.NQ} and one of {cassie.NV} for every sample."
         )
     if outputs != len(policy.joints):
         raise ValueError(f"{path} does not fit together: {outputs} outputs for {len(policy.joints)} joints.")

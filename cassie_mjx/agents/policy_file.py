@@ -3,8 +3,6 @@
 `cassie_mjx.numpy_policy` reads and runs it; here it is written, found, copied and handed to a learner.
 """
 
-import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,9 +10,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from cassie_mjx.agents.numpy_policy import FORMAT, MIRROR_ARRAYS, VERSION, NumpyPolicy
+from cassie_mjx.agents.numpy_policy import FORMAT, MIRROR_ARRAYS, NumpyPolicy
 from cassie_mjx.agents.saved_law import control_law, file_mirror
 from cassie_mjx.control.law import ControlLaw
+from cassie_mjx.files import archive
 from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.ppo import networks, normalizer
 from cassie_mjx.ppo.types import Normalizer, Policy
@@ -33,7 +32,7 @@ def save_policy(
     provenance: Mapping[str, Any],
     law: ControlLaw = FULL_LAW,
 ) -> None:
-    """Write a policy file, whole or not at all.
+    """Write a policy file with its digest, whole or not at all.
 
     Args:
       path: ends in .npz.
@@ -48,18 +47,7 @@ def save_policy(
       OSError: it cannot be written; a file of that name is as it was.
     """
     arrays = _network_arrays(policy) | _motion_arrays(motion) | _law_arrays(law)
-    arrays |= {"format": FORMAT, "version": VERSION, "provenance": json.dumps(dict(provenance))}
-    arrays |= {"speed": speed, "d_gain": kd_scale * cassie.D_GAIN}
-    partial = path.with_name(path.name + ".partial")
-    try:
-        with partial.open("wb") as file:
-            np.savez(file, **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise OSError(f"The policy {path} could not be written ({error.strerror or error}).") from error
+    archive.write(path, FORMAT, arrays | {"speed": speed, "d_gain": kd_scale * cassie.D_GAIN}, provenance)
 
 
 def _network_arrays(policy: Policy) -> dict[str, Any]:
@@ -111,10 +99,9 @@ def learner_policy(saved: NumpyPolicy) -> Policy:
             f"The policy bounds its inputs at {saved.clip:g} standard deviations, this version at {normalizer.CLIP:g}; "
             "use the version it was trained with, named in its provenance."
         )
-    stride = saved.reference_qpos.shape[1:], saved.reference_qvel.shape[1:]
-    if saved.joints != cassie.ACTUATORS or stride != ((cassie.NQ,), (cassie.NV,)):
+    if saved.joints != cassie.ACTUATORS:
         raise ValueError(
-            "The policy drives joints or imitates a motion that this version's robot has not; use the version it was "
+            "The policy drives joints that this version's robot has not, or in another order; use the version it was "
             "trained with, named in its provenance."
         )
     names = [*(f"hidden_{i}" for i in range(len(saved.weights) - 1)), "output"]

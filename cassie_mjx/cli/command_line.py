@@ -15,6 +15,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from cassie_mjx.cli.explain import explain
 from cassie_mjx.cli.keys import Group, Key, build, check_choice, did_you_mean, flatten, keys_of
+from cassie_mjx.cli.process import as_command
 from cassie_mjx.cli.sweep import is_hydras, sweep, wants_hydra
 
 C = TypeVar("C")
@@ -95,7 +96,8 @@ def _show(text: str) -> None:
 @contextmanager
 def _one_sentence() -> Iterator[None]:
     try:
-        yield
+        with as_command():
+            yield
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

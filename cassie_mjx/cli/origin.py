@@ -22,7 +22,7 @@ def provenance(**more: Any) -> dict[str, Any]:
         "date": datetime.date.today().isoformat(),
         "hardware": ", ".join([_processor(), f"{os.cpu_count()} cores", *_accelerators()]),
         "python": platform.python_version(),
-        "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
+        "versions": {name: _version(name) for name in PACKAGES},
         **more,
     }
 
@@ -31,6 +31,23 @@ def program(module: str) -> list[str]:
     """What a command line begins with that runs this module: `cassie-mjx COMMAND` if the present one does so, too."""
     console = sys.argv[0].startswith("cassie-mjx ")
     return sys.argv[0].split() if console else ["python", "-m", module]
+
+
+def is_ours(command: str) -> bool:
+    """Whether the present command, whatever its keys, wrote a file whose provenance has this `command`."""
+    return _program(shlex.split(command)) == _program(program(_module()))
+
+
+def _program(words: list[str]) -> list[str]:
+    """What a command line runs, under either of its names."""
+    return ["python", "-m", f"cassie_mjx.{words[1]}"] if words[:1] == ["cassie-mjx"] else words[:3]
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
 
 
 def _module() -> str:
@@ -51,7 +68,7 @@ def _commit() -> str:
             return "not a checkout"
         commit = subprocess.run([*git, "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=True)
         changes = subprocess.run([*git, "status", "--porcelain", "-uno"], capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
+    except (OSError, ValueError, subprocess.CalledProcessError):
         return "not a checkout"
     return commit.stdout.strip() + ("+changes" if changes.stdout.strip() else "")
 

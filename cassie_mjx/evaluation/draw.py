@@ -20,6 +20,7 @@ from mujoco.rendering.classic import gl_context
 
 from cassie_mjx import cli
 from cassie_mjx.evaluation.film import Shot
+from cassie_mjx.files.atomic import replacing
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.ground import set_terrain
 from cassie_mjx.robot.model import xml_path
@@ -36,6 +37,9 @@ ENCODINGS = {
     ".mp4": ["-c:v", "libx264", "-crf", "18", "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"],
     ".gif": ["-vf", "split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=none", "-f", "gif"],
 }
+_MARK = b"made by cassie-mjx render"
+FILM = cli.marked("a film of ours", _MARK)
+"""Videos that `write_video` has made."""
 # Browsers slow a GIF down whose frames last less than 0.02 s.
 FASTEST_GIF = 50
 
@@ -122,19 +126,24 @@ def write_video(path: Path, frames: Iterable[np.ndarray], width: int, height: in
 
     Raises:
       ValueError: no regular file can be written there; see `cli.check_writable`.
-      OSError: ffmpeg failed.
+      OSError: ffmpeg failed, or the file cannot be written; the sentence names it.
     """
-    final = cli.check_writable(str(path))
-    partial = final.with_name(final.name + ".partial")
     source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {fps} -i -".split()
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *source, *ENCODINGS[path.suffix], str(partial)]
-    try:
-        with suppress(BrokenPipeError), subprocess.Popen(command, stdin=subprocess.PIPE) as ffmpeg:
+    comment = ["-metadata", f"comment={_MARK.decode()}"]
+    with replacing(cli.check_writable(str(path))) as partial:
+        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *source, *comment, *ENCODINGS[path.suffix]]
+        with suppress(BrokenPipeError), subprocess.Popen([*command, str(partial)], stdin=subprocess.PIPE) as ffmpeg:
             assert ffmpeg.stdin
             for frame in frames:
                 ffmpeg.stdin.write(frame)
         if ffmpeg.returncode:
-            raise OSError(f"{path} has not been written: ffmpeg failed with status {ffmpeg.returncode}.")
-        partial.replace(final)
-    finally:
-        partial.unlink(missing_ok=True)
+            raise OSError(f"ffmpeg failed with status {ffmpeg.returncode}")
+        if path.suffix == ".gif":
+            _add_gif_comment(partial)
+
+
+def _add_gif_comment(path: Path) -> None:
+    """Put our mark before the byte that ends a GIF, for ffmpeg writes no comment into one."""
+    with path.open("r+b") as file:
+        file.seek(-1, os.SEEK_END)
+        file.write(b"\x21\xfe" + bytes([len(_MARK)]) + _MARK + b"\x00;")

@@ -1,13 +1,13 @@
 """Motion files: our own .npz, and the public trajectories of Cassie; read, checked and written."""
 
-import json
-import zipfile
+import warnings
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cassie_mjx.files import archive
 from cassie_mjx.motion.checks import ARRAYS, check_arrays, check_motion
 from cassie_mjx.motion.reference import ReferenceMotion, aligned, mix_qpos
 from cassie_mjx.robot import cassie
@@ -15,7 +15,7 @@ from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
 
 SHIPPED = ("walk",)
 
-_FORMAT, _VERSION = "cassie-mjx reference motion", 1
+FORMAT = "cassie-mjx reference motion"
 
 # The public trajectory file: time, qpos, qvel, then motor torques, positions and velocities, 10 each.
 _COLUMNS = 98
@@ -36,7 +36,17 @@ def load_motion(name_or_path: str) -> ReferenceMotion:
     path = Path(name_or_path)
     if not path.is_file():
         raise ValueError(f"reference={name_or_path!r} is neither {', '.join(SHIPPED)} nor a file.")
-    motion = aligned(read_motion(path)[0] if path.suffix == ".npz" else read_trajectory(path))
+    if path.suffix == ".npz":
+        motion, _, has_digest = _read(path)
+        if not has_digest:
+            warnings.warn(
+                f"{path} is of version 1 of its format, whose damage can go unnoticed; "
+                "experiments.record_reference writes motions with their SHA-256.",
+                stacklevel=2,
+            )
+    else:
+        motion = read_trajectory(path)
+    motion = aligned(motion)
     check_motion(motion, path)
     return motion
 
@@ -47,14 +57,13 @@ def shipped_path(name: str) -> Path:
 
 
 def save_motion(path: Path, motion: ReferenceMotion, provenance: dict[str, Any]) -> None:
-    """Write `motion` and where it came from to `path`, whole or not at all."""
+    """Write `motion` and where it came from to `path` with a digest, whole or not at all.
+
+    Raises:
+      OSError: it cannot be written; a file of that name is as it was.
+    """
     content: dict[str, Any] = {name: np.asarray(getattr(motion, name), np.float64) for name in ARRAYS}
-    content |= {"periodic": motion.periodic}
-    content |= {"format": _FORMAT, "version": _VERSION, "provenance": json.dumps(provenance)}
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as file:
-        np.savez(file, **content)
-    partial.replace(path)
+    archive.write(path, FORMAT, content | {"periodic": motion.periodic}, provenance)
 
 
 def read_motion(path: Path) -> tuple[ReferenceMotion, dict[str, Any]]:
@@ -63,22 +72,20 @@ def read_motion(path: Path) -> tuple[ReferenceMotion, dict[str, Any]]:
     Raises:
       ValueError: the file is not readable, not of this format and version, or not a motion of Cassie.
     """
-    names = ("format", "version", "provenance", *ARRAYS)
-    try:
-        with np.load(path, allow_pickle=False) as content:
-            found = {name: np.asarray(content[name]) for name in names if name in content}
-            # Files from before motions that end have no such entry.
-            periodic = bool(content["periodic"]) if "periodic" in content else True
-        if len(found) < len(names) or str(found["format"]) != _FORMAT:
-            raise ValueError(f"it is not a {_FORMAT}; experiments.record_reference makes one.")
-        version, provenance = int(found["version"]), json.loads(str(found["provenance"]))
-    except (OSError, EOFError, TypeError, ValueError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} cannot be read: {error}") from error
-    if version != _VERSION:
-        raise ValueError(f"{path} has version {version} of the format; this program reads version {_VERSION}.")
-    motion = ReferenceMotion(found["qpos"], found["qvel"], found["stride_length"], periodic)
-    check_arrays(motion, path)
+    motion, provenance, _ = _read(path)
     return motion, provenance
+
+
+def _read(path: Path) -> tuple[ReferenceMotion, dict[str, Any], bool]:
+    """The motion of a file, its provenance, and whether a digest vouches for them."""
+    content, provenance, has_digest = archive.read(path, FORMAT)
+    # Files from before motions that end have no such entry.
+    periodic = content.pop("periodic", np.array(True))
+    if content.keys() != set(ARRAYS) or (periodic.dtype, periodic.shape) != (np.dtype(bool), ()):
+        raise ValueError(f"{path} is damaged: it does not have {', '.join(ARRAYS)}, periodic, and no more.")
+    motion = ReferenceMotion(content["qpos"], content["qvel"], content["stride_length"], bool(periodic))
+    check_arrays(motion, path)
+    return motion, provenance, has_digest
 
 
 def read_trajectory(path: Path) -> ReferenceMotion:

@@ -7,9 +7,14 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
+from cassie_mjx import cli
 from cassie_mjx.reporting import plots
 from cassie_mjx.reporting.results import Result
 from cassie_mjx.reporting.tables import Table
+
+_GENERATOR = '<meta name="generator" content="cassie-mjx report">'
+REPORT = cli.marked("a report of ours", _GENERATOR.encode())
+"""Pages that `document` has made."""
 
 CSS = """
 body { font: 1rem/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; margin: 0 auto; padding: 1rem;
@@ -29,6 +34,7 @@ figcaption, .small, details { font-size: 0.85rem; color: #444; } .missing { colo
 def document(title: str, introduction: str, sections: Sequence[str]) -> str:
     """The whole page."""
     head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+    head += _GENERATOR
     head += f"<title>{html.escape(title)}</title><style>{CSS}</style>"
     body = "\n".join([f"<h1>{html.escape(title)}</h1><p>{html.escape(introduction)}</p>", *sections])
     return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>{body}</body></html>\n'

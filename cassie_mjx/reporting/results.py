@@ -45,7 +45,7 @@ def blaming(path: Path) -> Iterator[None]:
     """Turn whatever is missing or wrong in the content of a result file into one sentence that names the file."""
     try:
         yield
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         why = f"no {error}" if isinstance(error, KeyError) else str(error)
         raise ValueError(f"{path} is not a result as expected: {why}; make it again or move it away.") from error
 

@@ -21,3 +21,5 @@ class Interruption:
     def _note(self, number: int, _: FrameType | None) -> None:
         self.signal = number
         self.__exit__()
+        # What a command does on SIGTERM by itself would wait for the iteration's end.
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)

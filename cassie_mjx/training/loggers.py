@@ -14,6 +14,8 @@ from tensorboardX.event_file_writer import EventsWriter
 from tensorboardX.proto.event_pb2 import Event, SessionLog
 from tensorboardX.summary import scalar
 
+from cassie_mjx.files.atomic import write_text
+
 R = TypeVar("R")
 
 
@@ -48,9 +50,7 @@ class JsonLines:
         self._path = path
         lines = path.read_text().splitlines() if path.exists() else []
         kept = [line for line in lines if _samples_of(line) <= samples]
-        partial = path.with_name(path.name + ".partial")
-        partial.write_text("".join(line + "\n" for line in kept))
-        partial.replace(path)
+        write_text(path, "".join(line + "\n" for line in kept))
 
     def write(self, values: Mapping[str, float]) -> None:
         """Append one line.
@@ -114,7 +114,7 @@ class Terminal:
 
     def say(self, sentence: str) -> None:
         """Print a sentence."""
-        self._console.print(sentence, soft_wrap=True, highlight=False)
+        self._console.print(sentence, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
     def advance(self, reward: float, episode_steps: float, samples_per_s: float) -> None:
         """Move the bar on by an iteration."""
