@@ -1,7 +1,7 @@
 """Command lines, files, provenance."""
 
 from cassie_mjx.cli.command_line import keep_compiled_programs, parse, run
-from cassie_mjx.cli.files import check_writable, write_json, write_text
+from cassie_mjx.cli.files import check_writable, read_json, write_json, write_text
 from cassie_mjx.cli.keys import Group, check_choices
 from cassie_mjx.cli.origin import program, provenance
 
@@ -13,6 +13,7 @@ __all__ = [
     "parse",
     "program",
     "provenance",
+    "read_json",
     "run",
     "write_json",
     "write_text",

@@ -28,6 +28,23 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
     write_text(path, json.dumps(content, indent=1) + "\n")
 
 
+def read_json(path: Path, advice: str) -> dict[str, Any]:
+    """The JSON object in a file.
+
+    Raises:
+      ValueError: it cannot be read, or holds something else; the message ends in `advice`.
+    """
+    try:
+        content = json.loads(path.read_bytes())
+    except RecursionError as error:
+        raise ValueError(f"{path} cannot be read (it is nested too deeply); {advice}") from error
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} cannot be read ({error}); {advice}") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} cannot be read (it holds no JSON object); {advice}")
+    return content
+
+
 def write_text(path: Path, text: str) -> None:
     """Write `text` to `path` whole or not at all."""
     partial = path.with_name(path.name + ".partial")
