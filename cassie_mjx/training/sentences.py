@@ -35,11 +35,12 @@ def conclusion(best: Path, counters: Counters) -> str:
 def not_finite(config: TrainConfig, iteration: int, saved: int | None) -> str:
     """Why a learner with numbers that are not finite stops, what is left of the run, and what to try."""
     ppo = config.ppo
+    rates = [f"ppo.{name} below {getattr(ppo, name):g}" for name in ("actor_learning_rate", "critic_learning_rate")]
+    bound = [] if ppo.max_grad_norm else ["ppo.max_grad_norm=1"]
     return (
-        f"The learner stopped being made of finite numbers in iteration {iteration}, of which nothing is kept; the "
-        f"checkpoint of iteration {saved} and the policies in {config.run_dir} are as they were. Train in another run_dir with "
-        f"smaller steps: ppo.actor_learning_rate below {ppo.actor_learning_rate:g}, ppo.critic_learning_rate below "
-        f"{ppo.critic_learning_rate:g}{'' if ppo.max_grad_norm else ', or ppo.max_grad_norm=1'}."
+        f"The learner's numbers stopped being finite in iteration {iteration}, of which nothing is kept; the "
+        f"checkpoint of iteration {saved} and the policies in {config.run_dir} are as they were. Train in another "
+        f"run_dir with smaller steps: {', '.join([*rates, *bound])}."
     )
 
 
