@@ -15,6 +15,7 @@ from tiny import TINY, config, session
 
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.training import checkpoint, runner
+from cassie_mjx.training.interruption import ONE_S
 from cassie_mjx.training.loggers import JsonLines
 
 # The main thread is in a call that Python cannot interrupt, as in a compilation of XLA's.
@@ -35,6 +36,10 @@ def test_a_second_signal_ends_the_process_at_once_in_one_line(number):
         assert process.stdout.readline() == "begun\n"
         process.send_signal(number)
         assert process.stdout.readline().startswith("Stopping after this iteration, with a checkpoint; a second signal")
+        # As `timeout` sends it: twice for one.
+        process.send_signal(number)
+        time.sleep(ONE_S + 0.2)
+        assert process.poll() is None
         began = time.monotonic()
         process.send_signal(number)
         _, complaint = process.communicate()

@@ -4,10 +4,14 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+ONE_S = 0.5
+"""Time in which signals count as one, s: `timeout` sends its own twice, to its child and to the group of both."""
 
 
 class Interruption:
@@ -42,13 +46,14 @@ class Interruption:
         self.signal = number
 
     def _watch(self) -> None:
-        received = 0
+        first = None
         while number := os.read(self._reader, 1):
             if number[0] not in SIGNALS:
                 continue
-            received += 1
-            if received == 1:
+            if first is None:
+                first = time.monotonic()
                 self._say("Stopping after this iteration, with a checkpoint; a second signal stops at once, without.")
+            if time.monotonic() - first < ONE_S:
                 continue
             cursor = "\x1b[?25h" if sys.stderr.isatty() else ""
             os.write(2, f"{cursor}Stopped at once; resume=true goes on from the last checkpoint.\n".encode())
