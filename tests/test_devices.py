@@ -297,7 +297,7 @@ def with_two_devices_cassie_is_trained():
     run = trainer.gather_statistics(trainer.start())
     for _ in range(2):
         run, metrics = trainer.iterate(run)
-        assert np.isfinite(jax.tree.leaves(jax.device_get(metrics))).all()
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(jax.device_get(metrics)))
     assert trainer.iterate._cache_size() == 1
     assert run.learner.iteration == 2
     assert_same_everywhere((run.learner, run.key))
