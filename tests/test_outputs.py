@@ -238,13 +238,12 @@ def test_a_command_that_is_told_to_end_leaves_nothing_half_done(tmp_path, number
     assert names(tmp_path) == ["waiting.py"]
 
 
-def test_a_second_sigterm_ends_a_training_at_once():
+def test_a_command_has_its_own_sigterm_back_after_a_training():
     with cli.process.as_command():
         before = signal.getsignal(signal.SIGTERM)
-        with Interruption() as interruption:
+        with Interruption(lambda _: None) as interruption:
             signal.raise_signal(signal.SIGTERM)
             assert interruption.signal == signal.SIGTERM
-            assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
         assert signal.getsignal(signal.SIGTERM) is before
 
 

@@ -11,12 +11,14 @@ from rich.console import Console
 from tiny import TINY, session
 
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
+from cassie_mjx.control.observation import OBSERVATIONS
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.scenario import ScenarioConfig
 from cassie_mjx.ppo import networks, normalizer
 from cassie_mjx.training import checkpoint
 from cassie_mjx.training.config import TrainConfig
 from cassie_mjx.training.runner import Runner
+from cassie_mjx.training.sentences import clipping
 
 ALL = WalkConfig(scenario=ScenarioConfig(push_n=100, push_pause_s=0.1, terrain_m=0.1, delay_s=0.004))
 
@@ -64,29 +66,40 @@ def test_it_takes_the_input_statistics_of_its_own_task_and_stays_the_same_policy
     assert np.abs(normalizer.normalize(after.normalizer, seen)).max() < normalizer.CLIP
 
 
-def test_a_policy_that_does_not_see_its_task_is_told_to_the_user(first, tmp_path):
-    """Statistics of 1x, moved by 20 deviations in one input of 80: it is clipped in every sample, 1/80 of them all."""
+def test_inputs_that_are_clipped_are_told_to_the_user(first, tmp_path):
+    """Statistics of 1x, moved by 20 deviations in one input of 80: it is clipped in every sample."""
     begun = session(tmp_path, init=str(first), seed=5)
     run = begun.trainer.gather_statistics(begun.run)
-    calm = begun.trainer.clipped_inputs(run)
-    assert calm.shape == (80,)
-    assert calm.mean() < 0.01
+    _, calm = begun.trainer.iterate(run)
+    assert calm.clipped.shape == (80,)
+    assert calm.clipped.mean() < 0.01
     statistics = run.learner.policy.normalizer
     moved = statistics._replace(mean=statistics.mean.at[5].add(20 * normalizer.std(statistics)[5]))
     policy = run.learner.policy._replace(normalizer=moved)
-    begun.run = run._replace(learner=run.learner._replace(policy=policy))
-    shares = begun.trainer.clipped_inputs(begun.run)
-    assert shares[5] > 0.95
-    begun._warn_of_clipping()
+    begun.run, begun.begins = run._replace(learner=run.learner._replace(policy=policy)), False
+    begun.config = replace(begun.config, evaluate_every=1)
+    begun.train()
     said = " ".join(begun.terminal._console.file.getvalue().split())
     (line,) = [line for line in begun.law.observation.describe() if _holds(line, 5)]
-    assert "of the policy's inputs are clipped on its own task" in said
-    assert line in said
+    assert "of the policy's 80 inputs are clipped in more than 1% of the samples; most often input 5, in " in said
+    assert f"({line})" in said
+    # After the first evaluation, and after the last.
+    assert said.count("are clipped") == 2
+    shares = [json.loads(line)["train/clipped_share"] for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
+    assert min(shares) > 0.95
 
 
 def _holds(line, index):
     start, stop = map(int, line.split()[0].split(":"))
     return start <= index < stop
+
+
+def test_a_single_input_that_is_clipped_is_enough_and_a_share_of_a_hundredth_is_not():
+    shares, terms = np.zeros(80), OBSERVATIONS["full"].describe()
+    shares[79] = 0.01
+    assert clipping(shares, terms) == ""
+    shares[79] = 0.011
+    assert clipping(shares, terms).startswith("1 of the policy's 80 inputs are clipped in more than 1% of the samples")
 
 
 def test_a_policy_of_other_gains_is_said_to_be_one(first, tmp_path):

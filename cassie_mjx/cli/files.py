@@ -105,3 +105,20 @@ def write_result(path: Path, content: dict[str, Any]) -> None:
         with suppress(OSError):
             print(json.dumps(content, indent=1), flush=True)
         raise OSError(f"{error} The result is on the standard output instead.") from error
+
+
+def read_json(path: Path, advice: str) -> dict[str, Any]:
+    """The JSON object in a file.
+
+    Raises:
+      ValueError: it cannot be read, or holds something else; the message ends in `advice`.
+    """
+    try:
+        content = json.loads(path.read_bytes())
+    except RecursionError as error:
+        raise ValueError(f"{path} cannot be read (it is nested too deeply); {advice}") from error
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} cannot be read ({error}); {advice}") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} cannot be read (it holds no JSON object); {advice}")
+    return content

@@ -5,20 +5,19 @@ A checkpoint is a directory `step_<iteration>`:
     state/          every array of the run's state, by orbax, as NumPy arrays under their path in the state
     reference.npz   the reference motion
     record.json     configuration, counters, provenance
-    manifest.json   size and SHA-256 of every other file; written last
+    manifest.json   size and SHA-256 of every other file; written last, with a digest of its own in manifest.sha256
 
 A directory of any other name, such as one left by a save that was killed, is no checkpoint and is removed by the next
 save.
 """
 
 import errno
-import hashlib
 import json
 import logging
 import os
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -26,15 +25,17 @@ import jax
 import numpy as np
 import orbax.checkpoint as ocp
 
+from cassie_mjx import cli
 from cassie_mjx.motion.files import read_motion, save_motion
 from cassie_mjx.motion.reference import ReferenceMotion
+from cassie_mjx.training import manifest
 
 KEPT = 2
 """Checkpoints kept: the last, and the one before it in case the last is damaged on disk."""
 
 FORMAT = 1
 
-_PREFIX, _MANIFEST = "step_", "manifest.json"
+_PREFIX = "step_"
 
 T = TypeVar("T")
 
@@ -48,6 +49,8 @@ class Restored(NamedTuple):
     """The reference motion."""
     record: dict[str, Any]
     """What `save` was given."""
+    iteration: int
+    """After which it was saved."""
 
 
 def save(directory: Path, iteration: int, state: Any, motion: ReferenceMotion, record: dict[str, Any]) -> Path:
@@ -77,7 +80,7 @@ def save(directory: Path, iteration: int, state: Any, motion: ReferenceMotion, r
         _write_state(partial / "state", arrays)
         save_motion(partial / "reference.npz", motion, {})
         (partial / "record.json").write_text(json.dumps({"format": FORMAT, **record}, indent=1))
-        (partial / _MANIFEST).write_text(json.dumps(_manifest(partial), indent=1))
+        manifest.write(partial)
         _sync(partial)
         # A run begins at its last whole checkpoint, so one of this iteration or a later one is damaged.
         for damaged in (old for old in _checkpoints(directory) if iteration_of(old) >= iteration):
@@ -104,8 +107,14 @@ def iteration_of(checkpoint: Path) -> int:
     return int(checkpoint.name.removeprefix(_PREFIX))
 
 
-def restore_last(directory: Path) -> tuple[Restored | None, list[str]]:
+def restore_last(
+    directory: Path, check: Callable[[dict[str, Any]], object] = lambda record: None
+) -> tuple[Restored | None, list[str]]:
     """The last checkpoint that is whole, and a sentence about each later one that is not; None without any checkpoint.
+
+    Args:
+      directory: of the run's checkpoints.
+      check: raises ValueError for a record that a run cannot go on from.
 
     Raises:
       ValueError: there are checkpoints, and none of them is whole.
@@ -113,9 +122,16 @@ def restore_last(directory: Path) -> tuple[Restored | None, list[str]]:
     damaged: list[str] = []
     for checkpoint in reversed(_checkpoints(directory)):
         try:
-            return restore(checkpoint), damaged
+            restored = restore(checkpoint)
         except ValueError as error:
             damaged.append(str(error))
+            continue
+        try:
+            check(restored.record)
+        except ValueError as error:
+            damaged.append(f"{checkpoint} is damaged: {error}")
+            continue
+        return restored, damaged
     if damaged:
         raise ValueError(f"{directory} holds no checkpoint that is whole; choose another run_dir. {' '.join(damaged)}")
     return None, damaged
@@ -125,14 +141,18 @@ def restore(checkpoint: Path) -> Restored:
     """Read a checkpoint that any platform wrote.
 
     Raises:
-      ValueError: a file is missing, cut short or altered, named in the message; or the format is another.
+      ValueError: a file is missing, unreadable, cut short, altered or added, named in the message; or the format is
+        another.
     """
-    _check(checkpoint)
-    record = json.loads((checkpoint / "record.json").read_text())
-    if record.pop("format") != FORMAT:
-        raise ValueError(f"{checkpoint} is of another format than {FORMAT}, which this version of Cassie MJX reads.")
-    motion, _ = read_motion(checkpoint / "reference.npz")
-    return Restored(_read_state(checkpoint / "state"), motion, record)
+    try:
+        manifest.check(checkpoint)
+        record = cli.read_json(checkpoint / "record.json", f"{checkpoint.name} is damaged.")
+        if record.pop("format", None) != FORMAT:
+            raise ValueError(f"{checkpoint} is of another format than {FORMAT}, which this version reads.")
+        motion, _ = read_motion(checkpoint / "reference.npz")
+        return Restored(_read_state(checkpoint / "state"), motion, record, iteration_of(checkpoint))
+    except OSError as error:
+        raise ValueError(f"{checkpoint} cannot be read ({error}).") from error
 
 
 def restore_into(template: T, arrays: dict[str, np.ndarray]) -> T:
@@ -188,9 +208,13 @@ def _write_state(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 
 def _read_state(path: Path) -> dict[str, np.ndarray]:
-    with _checkpointer() as checkpointer:
-        restored = checkpointer.restore(path.absolute(), args=ocp.args.StandardRestore())
-    return {name: np.asarray(value) for name, value in restored.items()}
+    try:
+        with _checkpointer() as checkpointer:
+            restored = checkpointer.restore(path.absolute(), args=ocp.args.StandardRestore())
+        return {name: np.asarray(value) for name, value in restored.items()}
+    except Exception as error:  # orbax says in no one place what it raises
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ValueError(f"{path} cannot be read ({reason}).") from error
 
 
 def _checkpointer() -> ocp.Checkpointer:
@@ -201,51 +225,20 @@ def _checkpointer() -> ocp.Checkpointer:
 
 
 def _checkpoints(directory: Path) -> list[Path]:
-    found = (path for path in directory.glob(f"{_PREFIX}*") if path.name.removeprefix(_PREFIX).isdigit())
-    return sorted(found, key=iteration_of)
+    found = directory.iterdir() if directory.exists() else ()
+    return sorted((path for path in found if re.fullmatch(f"{_PREFIX}[0-9]+", path.name)), key=iteration_of)
 
 
 def _remove_unfinished(directory: Path) -> None:
     for path in directory.glob(f"{_PREFIX}*.partial"):
-        shutil.rmtree(path)
+        shutil.rmtree(path, ignore_errors=True)
 
 
 def _discard(checkpoint: Path) -> None:
     """Remove a checkpoint so that at no moment a part of it passes for one."""
     doomed = checkpoint.with_name(f"{checkpoint.name}.old.partial")
     checkpoint.rename(doomed)
-    shutil.rmtree(doomed)
-
-
-def _files(checkpoint: Path) -> Iterator[Path]:
-    return (path for path in sorted(checkpoint.rglob("*")) if path.is_file() and path.name != _MANIFEST)
-
-
-def _manifest(checkpoint: Path) -> dict[str, dict[str, Any]]:
-    return {
-        path.relative_to(checkpoint).as_posix(): {"bytes": path.stat().st_size, "sha256": _sha256(path)}
-        for path in _files(checkpoint)
-    }
-
-
-def _check(checkpoint: Path) -> None:
-    advice = f"{checkpoint.name} is damaged."
-    try:
-        manifest = json.loads((checkpoint / _MANIFEST).read_text())
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{checkpoint / _MANIFEST} cannot be read ({error}); {advice}") from error
-    for name, expected in manifest.items():
-        path = checkpoint / name
-        if not path.is_file():
-            raise ValueError(f"{path} is missing; {advice}")
-        if path.stat().st_size != expected["bytes"]:
-            raise ValueError(f"{path} has {path.stat().st_size} bytes instead of {expected['bytes']}; {advice}")
-        if _sha256(path) != expected["sha256"]:
-            raise ValueError(f"{path} is not what was saved: its SHA-256 differs; {advice}")
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    shutil.rmtree(doomed, ignore_errors=True)
 
 
 def _sync(checkpoint: Path) -> None:

@@ -1,6 +1,7 @@
 """Where numbers go: JSON lines, TensorBoard, the terminal; and where the time went."""
 
 import json
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -48,18 +49,19 @@ class JsonLines:
     def __init__(self, path: Path, samples: int) -> None:
         """Open `path` to append; lines of more than `samples` train/samples, or broken ones, are of a lost future."""
         self._path = path
-        lines = path.read_text().splitlines() if path.exists() else []
+        lines = path.read_text(errors="replace").splitlines() if path.exists() else []
         kept = [line for line in lines if _samples_of(line) <= samples]
         write_text(path, "".join(line + "\n" for line in kept))
 
     def write(self, values: Mapping[str, float]) -> None:
-        """Append one line.
+        """Append one line; a value that is not finite, which JSON has no number for, is null.
 
         Raises:
           OSError: it cannot be written, for instance on a full disk.
         """
         with _writing(self._path), self._path.open("a") as file:
-            file.write(json.dumps(values) + "\n")
+            finite = {name: value if math.isfinite(value) else None for name, value in values.items()}
+            file.write(json.dumps(finite) + "\n")
 
 
 class TensorBoard:
@@ -145,6 +147,6 @@ def _writing(path: Path) -> Iterator[None]:
 
 def _samples_of(line: str) -> float:
     try:
-        return json.loads(line)["train/samples"]
-    except (ValueError, KeyError, TypeError):
+        return float(json.loads(line)["train/samples"])
+    except (ValueError, KeyError, TypeError, RecursionError):
         return float("inf")

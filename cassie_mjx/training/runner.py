@@ -7,63 +7,31 @@ whatever ends it, the same command with resume=true goes on exactly where the la
 import os
 import sys
 import time
-from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import mujoco
+import numpy as np
 from rich.console import Console
 
 from cassie_mjx import cli
+from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy import PolicyAgent, policy_step
 from cassie_mjx.agents.policy_file import learner_policy, save_policy
 from cassie_mjx.evaluation.returns import walk_returns
 from cassie_mjx.motion.command import speed_factors
-from cassie_mjx.motion.files import load_motion
-from cassie_mjx.motion.reference import stretch
 from cassie_mjx.physics.make import make_physics
 from cassie_mjx.ppo import networks
 from cassie_mjx.ppo.types import Policy
 from cassie_mjx.robot.model import ModelConfig
-from cassie_mjx.training import checkpoint, devices, divergence, run_directory
+from cassie_mjx.training import checkpoint, counters, devices, divergence, lock, run_directory, sentences
 from cassie_mjx.training.config import TrainConfig, resolve_config
+from cassie_mjx.training.counters import NOT_MEASURED, Counters, IntervalStats
 from cassie_mjx.training.interruption import Interruption
 from cassie_mjx.training.loggers import JsonLines, TensorBoard, Terminal
 from cassie_mjx.training.trainer import IterationMetrics, RunState, Trainer, initial_policy, unlike
-
-CLIPPED_SHARE = 0.01
-"""Share of a policy's inputs that may be clipped without a word."""
-
-
-@dataclass
-class Counters:
-    """What the host counts over a whole run, resumed or not."""
-
-    train_s: float = 0.0
-    """Time in training, evaluations apart, s."""
-    return_plain: float = -1.0
-    """`return_plain` of the best policy so far: best by the reward that is learned from."""
-    return_weighted: float = -1.0
-    """`return_weighted` of the same policy."""
-
-
-@dataclass
-class IntervalStats:
-    """What the host counts from one evaluation to the next."""
-
-    train_s: float = 0.0
-    """Time in training, s."""
-    iterations: int = 0
-    ends: Counter[str] = field(default_factory=Counter)
-    """Episodes that ended by each of `termination.Ends`."""
-
-    @classmethod
-    def of(cls, record: dict[str, Any]) -> "IntervalStats":
-        """As a checkpoint has them; nothing from one that has none."""
-        return cls(record.get("train_s", 0.0), record.get("iterations", 0), Counter(record.get("ends", {})))
 
 
 class Runner:
@@ -78,12 +46,10 @@ class Runner:
         self.config = config = resolve_config(config)
         self.folder = Path(str(config.run_dir))
         self.factor, speeds = speed_factors(config.speed)
-        motion = stretch(load_motion(config.reference), self.factor)
         begun = checkpoint.latest(self.folder / "checkpoints") is not None
         init = None if begun else initial_policy(config)
         self.provenance = cli.provenance()
-        restored, self.notes = run_directory.claim(self.folder, config, self.provenance)
-        self.motion = restored.motion if restored else motion
+        restored, self.motion, self.notes = run_directory.claim(self.folder, config, self.provenance)
         self.trainer = Trainer(config, self.motion)
         self.run, self.counters, self.interval = (
             self.trainer.start(learner_policy(init) if init else None),
@@ -92,8 +58,8 @@ class Runner:
         )
         if restored:
             self.run = checkpoint.restore_into(self.run, restored.arrays)
-            self.counters = Counters(**restored.record["counters"])
-            self.interval = IntervalStats.of(restored.record.get("interval", {}))
+            self.counters, self.interval = counters.from_record(restored.record)
+            self.trainer.timer.seconds = self.interval.seconds
         self.saved = self.done if restored else None
         self.begins = restored is None
         self.notes += unlike(config, init, self.motion) if init else []
@@ -103,6 +69,7 @@ class Runner:
         self.eval_engine = make_physics("native", ModelConfig())
         motion = self.trainer.env.motion
         self.policy_step = jax.jit(partial(policy_step, self.law, motion))
+        self.clipping_told = False
         self.diagnosed = bool(max(devices.exchange((self.folder / "nan").exists())))
 
     @property
@@ -116,16 +83,18 @@ class Runner:
         return self.done * self.config.ppo.num_samples
 
     def train(self) -> None:
-        """Train until the last iteration or a signal, and say what came of it."""
-        with Interruption() as interruption, self.terminal:
-            self.terminal.say(f"{'Resuming' if self.done else 'Training'} in {self.folder}: {self._plan()}")
+        """Train until the last iteration or a signal, and say what came of it.
+
+        Raises:
+          ValueError: the learner's numbers are not finite any more; the last checkpoint and policies stay as they are.
+        """
+        config = self.config
+        with self.terminal, Interruption(self.terminal.say) as interruption:
+            self.terminal.say(f"{'Resuming' if self.done else 'Training'} in {self.folder}: {sentences.plan(config)}")
             for note in self.notes:
                 self.terminal.say(note)
-            if self.begins:
-                began = time.perf_counter()
-                self.run = jax.block_until_ready(self.trainer.gather_statistics(self.run))
-                self._count(time.perf_counter() - began)
-            total, stopped = self.config.ppo.iterations, 0
+            self._begin()
+            total, stopped = config.ppo.iterations, 0
             # A signal to one process stops all of them after the same iteration.
             while self.done < total and not (stopped := max(devices.exchange(interruption.signal))):
                 self._iterate()
@@ -136,25 +105,45 @@ class Runner:
                 f"Stopped and saved after iteration {self.done}. To go on:\n  {run_directory.resume_command()}"
             )
             sys.exit(128 + stopped)
-        self._warn_of_clipping()
-        self._conclude()
+        self.terminal.say(sentences.conclusion(self.folder / "best.npz", self.counters))
 
-    def _warn_of_clipping(self) -> None:
-        """Say so if the networks do not see what robots sense: inputs beyond what their statistics let through."""
-        if jax.device_count() > 1:
-            return
-        clipped = self.trainer.clipped_inputs(self.run)
-        if clipped.mean() > CLIPPED_SHARE:
-            names = [line for line in self.law.observation.describe() if clipped[_slice(line)].max() > CLIPPED_SHARE]
-            self.terminal.say(
-                f"{clipped.mean():.1%} of the policy's inputs are clipped on its own task: {'; '.join(names)}. "
-                "Train from scratch, or from a policy whose inputs have about the same range."
-            )
+    def _begin(self) -> None:
+        """What a run needs before its first iteration, or before it goes on."""
+        if self.begins:
+            began = time.perf_counter()
+            self.run = jax.block_until_ready(self.trainer.gather_statistics(self.run))
+            self._count(time.perf_counter() - began)
+            # So that a run without a checkpoint is one that has no results either.
+            self._save()
+        elif max(devices.exchange(int(devices.is_first() and self._best_is_lost()))):
+            if devices.is_first():
+                self._replace_best()
+            self._save()
+
+    def _best_is_lost(self) -> bool:
+        if self.counters.return_plain == NOT_MEASURED:
+            return False
+        try:
+            NumpyPolicy.load(self.folder / "best.npz")
+        except (ValueError, OSError):
+            return True
+        return False
+
+    def _replace_best(self) -> None:
+        """Measure the policy of the checkpoint and let it take the place of the best one, and say so."""
+        lost = self.counters
+        self.counters = Counters(lost.train_s)
+        policy, returns = self._returns()
+        self._keep(policy, returns)
+        self.terminal.say(sentences.best_lost(self.folder / "best.npz", lost, self.counters))
 
     def _iterate(self) -> None:
         began, before = time.perf_counter(), self.run
-        self.run, metrics = self.trainer.iterate(before)
+        after, metrics = self.trainer.iterate(before)
         metrics = jax.device_get(metrics)
+        if not metrics.finite:
+            raise ValueError(sentences.not_finite(self.config, self.done + 1, self.saved))
+        self.run = after
         elapsed = time.perf_counter() - began
         self._count(elapsed)
         self.interval.iterations += 1
@@ -194,19 +183,32 @@ class Runner:
         network = networks.acting(policy)
         return PolicyAgent("policy", self.law, self.motion, network, self.config.walk.kd_scale, step=self.policy_step)
 
+    def _returns(self) -> tuple[Policy, dict[str, float]]:
+        """The present policy, and what it is worth."""
+        policy = devices.own_copy(self.run.learner.policy)
+        return policy, walk_returns(self._agent(policy), self.eval_engine, self.speeds)
+
     def _measure(self, metrics: IterationMetrics) -> None:
         """Measure the return, log it, and keep the policy."""
         began = time.perf_counter()
-        walk, policy = self.config.walk, devices.own_copy(self.run.learner.policy)
-        returns = walk_returns(self._agent(policy), self.eval_engine, self.speeds)
+        policy, returns = self._returns()
         values = self._values(metrics, returns, time.perf_counter() - began)
         for sink in self.sinks:
             sink.write(values)
+        self._keep(policy, returns)
+        clipping = sentences.clipping(np.asarray(metrics.clipped), self.law.observation.describe())
+        if clipping and (not self.clipping_told or self.done == self.config.ppo.iterations):
+            self.clipping_told = True
+            self.terminal.say(clipping)
+
+    def _keep(self, policy: Policy, returns: dict[str, float]) -> None:
+        """Write the policy as the last one and, if it is that, as the best one."""
+        walk, counters = self.config.walk, self.counters
         origin = self.provenance | {"seed": self.config.seed, "samples": self.samples, **returns}
         names = ["last"]
         # No undisturbed return tells which policy is the most robust: under disturbances, it is the last.
-        goal, counters = f"return_{self.config.walk.reward}", self.counters
-        if returns[goal] > getattr(counters, goal) or self.config.walk.scenario.active:
+        goal = f"return_{walk.reward}"
+        if returns[goal] > getattr(counters, goal) or walk.scenario.active:
             counters.return_plain, counters.return_weighted = returns["return_plain"], returns["return_weighted"]
             names.append("best")
         for name in names:
@@ -220,6 +222,7 @@ class Runner:
             "train/iteration": self.done,
             "train/samples": self.samples,
             "train/episode_steps": self._episode_steps(metrics),
+            "train/clipped_share": float(metrics.clipped.max()),
             **{f"train/{name}": count for name, count in interval.ends.items()},
             "time/train_s": self.counters.train_s,
             "time/samples_per_s": interval.iterations * self.config.ppo.num_samples / interval.train_s,
@@ -235,44 +238,22 @@ class Runner:
         return 1 / max(ended, 1 / self.config.walk.episode_steps)
 
     def _save(self) -> None:
-        interval = vars(self.interval) | {"ends": dict(self.interval.ends)}
-        record = {"config": asdict(self.config), "counters": asdict(self.counters), "interval": interval}
-        record["provenance"] = self.provenance
+        self.interval.seconds = self.trainer.timer.seconds
+        record = {"config": asdict(self.config), "provenance": self.provenance}
+        record |= counters.to_record(self.counters, self.interval)
         state = devices.gather(self.run)
         if devices.is_first():
             checkpoint.save(self.folder / "checkpoints", self.done, state, self.motion, record)
         self.saved = self.done
-
-    def _plan(self) -> str:
-        config = self.config
-        origin = f" from the policy {config.init}" if config.init else ""
-        spread = f" on {jax.device_count()} devices" if config.physics == "mjx" and jax.device_count() > 1 else ""
-        return (
-            f"{config.speed} on {config.reference}{origin}, {config.ppo.num_robots} robots on {config.physics}{spread} "
-            f"at {config.physics_hz} Hz, {config.ppo.iterations} iterations of {config.ppo.num_samples:,} samples."
-        )
-
-    def _conclude(self) -> None:
-        best, counters = self.folder / "best.npz", self.counters
-        self.terminal.say(
-            f"Done: a return of {counters.return_plain:.1f} of 300 by the plain reward, "
-            f"{counters.return_weighted:.1f} by the weighted one, after {counters.train_s:.0f} s of training.\n"
-            f"The policy: {best}\n"
-            f"Next: python -m cassie_mjx.evaluate policy={best}"
-        )
-
-
-def _slice(line: str) -> slice:
-    """Where an observation has what a line of its description begins with, such as "0:2"."""
-    start, stop = line.split()[0].split(":")
-    return slice(int(start), int(stop))
 
 
 def train_policy(config: TrainConfig) -> Path:
     """Train one policy; what `python -m cassie_mjx.train` does. Returns the run's directory.
 
     Raises:
-      ValueError: the configuration, the reference or the directory will not do; nothing is written then.
+      ValueError: the configuration, the reference or the directory will not do, or another training is in it; nothing
+        is written then. Or the learner's numbers are not finite any more.
+      OSError: the directory cannot be written.
     """
     # On few cores, XLA's threads take time from the physics' threads; it reads this when it makes its first array.
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
@@ -280,6 +261,8 @@ def train_policy(config: TrainConfig) -> Path:
     mujoco.set_mju_user_warning(lambda _: None)
     if config.distributed:
         devices.join()
-    run = Runner(config, Console(quiet=not devices.is_first()))
-    run.train()
+    config, console = resolve_config(config), Console(quiet=not devices.is_first())
+    with lock.hold(Path(str(config.run_dir)), console.print):
+        run = Runner(config, console)
+        run.train()
     return run.folder

@@ -19,7 +19,7 @@ from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.make import ENGINES, make_physics
 from cassie_mjx.physics.types import Physics
 from cassie_mjx.ppo import learner, networks, normalizer, rollout
-from cassie_mjx.ppo.types import LearnerState, Policy, UpdateMetrics
+from cassie_mjx.ppo.types import LearnerState, Normalizer, Policy, UpdateMetrics
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.model import steps_per_control
 from cassie_mjx.training import devices, divergence
@@ -42,6 +42,10 @@ class IterationMetrics(NamedTuple):
     update: UpdateMetrics
     ends: dict[str, jax.Array]
     """Episodes that ended by each of `termination.Ends`; one may have ended by several."""
+    clipped: jax.Array
+    """Share of the samples in which each input of the networks was clipped, [O]."""
+    finite: jax.Array
+    """Whether all of `update`, and all that the learner now consists of, are finite numbers."""
 
 
 def initial_policy(config: TrainConfig) -> NumpyPolicy | None:
@@ -89,6 +93,7 @@ class Trainer:
         self.config, self.timer = config, Stopwatch()
         # Where each part of a `RunState` belongs, if there is a choice.
         self._places: Any = None
+        same: Any = None
         update = partial(learner.update, config.ppo)
         solver = ENGINES[config.physics].training
         model_hz = config.physics_hz or solver.physics_hz
@@ -101,10 +106,10 @@ class Trainer:
             self.collect = partial(rollout.collect, self.env.step, config.ppo)
             if jax.device_count() > 1:
                 self.collect, update = devices.on_all(self.collect, update)
-                same: Any = devices.same_everywhere()
+                same = devices.same_everywhere()
                 self._places = RunState(same, devices.split_by_robot(), same)
             # One compiled call an iteration. Left to itself, XLA moves empty arrays, and the next call compiles again.
-            self.iterate = jax.jit(partial(iterate, self.collect, update), out_shardings=(self._places, None))
+            self.iterate = jax.jit(partial(iterate, self.collect, update), out_shardings=(self._places, same))
         else:
             timed = _TimedPhysics(physics, self.timer)
             self.env = WalkEnv(timed, motion, config.walk, config.ppo.num_robots, speeds)
@@ -144,13 +149,6 @@ class Trainer:
         policy = networks.renormalize(policy, statistics) if begun_with else policy._replace(normalizer=statistics)
         return self._placed(run._replace(learner=run.learner._replace(policy=policy)))
 
-    def clipped_inputs(self, run: RunState) -> np.ndarray:
-        """Share of each input of the policy that is clipped, over a rollout of its own task, [O]."""
-        collect_key, _ = iteration_keys(run)
-        _, experience = self.collect(run.learner.policy, run.env, collect_key)
-        inputs = normalizer.normalize(run.learner.policy.normalizer, jnp.asarray(experience.observation))
-        return np.asarray(jnp.abs(inputs) >= normalizer.CLIP).mean(axis=(0, 1))
-
     def _placed(self, run: RunState) -> RunState:
         return run if self._places is None else jax.device_put(run, self._places)
 
@@ -177,7 +175,19 @@ def iterate(
     env_state, experience = collect(run.learner.policy, run.env, collect_key)
     state, metrics = update(run.learner, experience, update_key)
     ends = {name: experience.metrics[name].sum() for name in Ends._fields}
-    return RunState(state, env_state, run.key), IterationMetrics(metrics, ends)
+    clipped = _clipped_share(run.learner.policy.normalizer, experience.observation)
+    return RunState(state, env_state, run.key), IterationMetrics(metrics, ends, clipped, _all_finite((state, metrics)))
+
+
+@jax.jit
+def _clipped_share(statistics: Normalizer, observation: jax.Array) -> jax.Array:
+    clipped = jnp.abs(normalizer.normalize(statistics, observation)) >= normalizer.CLIP
+    return clipped.mean(axis=(0, 1), dtype=jnp.float32)
+
+
+@jax.jit
+def _all_finite(tree: Any) -> jax.Array:
+    return jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(tree)]).all()
 
 
 def iteration_keys(run: RunState) -> jax.Array:

@@ -1,0 +1,60 @@
+"""What the host counts: over a whole run, and from one evaluation to the next."""
+
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+NOT_MEASURED = -1.0
+
+
+@dataclass
+class Counters:
+    """What the host counts over a whole run, resumed or not."""
+
+    train_s: float = 0.0
+    """Time in training, evaluations apart, s."""
+    return_plain: float = NOT_MEASURED
+    """`return_plain` of the best policy so far: best by the reward that is learned from."""
+    return_weighted: float = NOT_MEASURED
+    """`return_weighted` of the same policy."""
+
+
+@dataclass
+class IntervalStats:
+    """What the host counts from one evaluation to the next."""
+
+    train_s: float = 0.0
+    """Time in training, s."""
+    iterations: int = 0
+    ends: Counter[str] = field(default_factory=Counter)
+    """Episodes that ended by each of `termination.Ends`."""
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Time by the part of the program it was spent in, s."""
+
+
+def to_record(counters: Counters, interval: IntervalStats) -> dict[str, Any]:
+    """Both as JSON can hold them."""
+    # `asdict` would make a Counter of pairs, and count these.
+    return {"counters": asdict(counters), "interval": vars(interval) | {"ends": dict(interval.ends)}}
+
+
+def from_record(record: dict[str, Any]) -> tuple[Counters, IntervalStats]:
+    """What `to_record` was given; an interval of nothing from a record of before there were any.
+
+    Raises:
+      ValueError: a count is missing, unknown or no number.
+    """
+    try:
+        counters = Counters(**_numbers(record["counters"]))
+        held = dict(record.get("interval", {}))
+        ends, seconds = _numbers(held.pop("ends", {})), _numbers(held.pop("seconds", {}))
+        train_s, iterations = float(held.get("train_s", 0)), int(held.get("iterations", 0))
+        whole = Counter({name: int(count) for name, count in ends.items()})
+        interval = IntervalStats(train_s, iterations, whole, seconds)
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"its counts of a run cannot be read ({type(error).__name__}: {error}).") from error
+    return counters, interval
+
+
+def _numbers(values: dict[str, Any]) -> dict[str, float]:
+    return {name: float(value) for name, value in values.items()}

@@ -1,0 +1,62 @@
+"""What of their inputs the shipped policies do not see on their own tasks, in MuJoCo C."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from cassie_mjx.agents.policy_file import learner_policy
+from cassie_mjx.agents.saved_law import control_law
+from cassie_mjx.agents.shipped import load_policy, shipped_policies
+from cassie_mjx.envs.config import WALK_PRESETS, WalkConfig
+from cassie_mjx.envs.walk import WalkEnv
+from cassie_mjx.motion.command import speed_factors
+from cassie_mjx.motion.reference import ReferenceMotion
+from cassie_mjx.physics.make import make_physics
+from cassie_mjx.ppo import networks, normalizer
+from cassie_mjx.robot.model import ModelConfig
+
+STEPS, ROBOTS = 300, 20
+
+REFERENCE_FORWARD_VELOCITY = 46
+
+# Bounds on the share of the samples in which the worst input of each policy is clipped. Measured: 0, 0, 25.5 % (how far
+# aside pushes have brought it: it does not see beyond 0.64 m), 0.02, 1.3, 3.3 and 0.08 % (joint velocities).
+WORST = {"0x": 0.001, "1x": 0.001, "1x-robust": 0.35, "2x": 0.005, "3x": 0.02, "4x": 0.05, "any": 0.005}
+
+
+def task(name):
+    """What a policy was trained for, and at which speeds."""
+    robust = WALK_PRESETS["robust"]
+    pushed = replace(robust, scenario=replace(robust.scenario, push_n=250.0, push_backward=0.7))
+    return (pushed if name == "1x-robust" else WalkConfig()), speed_factors("any" if name == "any" else "1x")[1]
+
+
+def clipped_share(name):
+    """Share of each input of the policy that is clipped, over whole episodes of its own task without noise, [O]."""
+    saved, (walk, speeds) = load_policy(name), task(name)
+    assert control_law(saved) == walk.law
+    policy, motion = learner_policy(saved), (saved.reference_qpos, saved.reference_qvel, saved.reference_stride_length)
+    model = ModelConfig(physics_hz=500, scene="terrain" if walk.scenario.terrain_m else "flat")
+    physics = make_physics("native", model, walk.scenario.delay_steps(500))
+    env = WalkEnv(physics, ReferenceMotion(*motion), walk, ROBOTS, speeds)
+    act = jax.jit(lambda observation: networks.mode(policy, observation))
+    inputs = jax.jit(lambda observation: normalizer.normalize(policy.normalizer, observation))
+    key, clipped = jax.random.key(0), np.zeros(saved.mean.shape)
+    state = env.reset(key)
+    for step in range(STEPS):
+        clipped += (np.abs(inputs(state.observation)) >= normalizer.CLIP).mean(axis=0)
+        state = env.step(state, act(state.observation), jax.random.fold_in(key, step))
+    return clipped / STEPS
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", shipped_policies())
+def test_shipped_policies_see_their_tasks(name):
+    share = clipped_share(name)
+    # Trained from 1x with its statistics, they see the reference's forward velocity, which is constant, at the bound.
+    if name in ("0x", "2x", "3x", "4x"):
+        assert share[REFERENCE_FORWARD_VELOCITY] == 1
+        share[REFERENCE_FORWARD_VELOCITY] = 0
+    assert share.max() <= WORST[name], (share.argmax(), share.max())
