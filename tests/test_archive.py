@@ -55,36 +55,38 @@ def test_the_same_content_gives_the_same_bytes(path):
     assert path.read_bytes() == before
 
 
+def outcome(path, content):
+    """Whether the file is read as it was written, or refused."""
+    path.write_bytes(content)
+    try:
+        same(archive.read(path, KIND))
+    except ValueError:
+        return "refused"
+    return "same"
+
+
+def flipped(content, k, bit):
+    return content[:k] + bytes([content[k] ^ 1 << bit]) + content[k + 1 :]
+
+
 def test_no_bit_can_be_flipped_and_no_byte_be_missing_doubled_or_swapped(path):
     content = path.read_bytes()
-    damaged = [content[:k] + bytes([content[k] ^ 1 << k % 8]) + content[k + 1 :] for k in range(len(content))]
-    damaged += [content[:k] + content[k + 1 :] for k in range(0, len(content), 3)]
-    damaged += [content[:k] + content[k : k + 1] + content[k:] for k in range(0, len(content), 3)]
-    damaged += [content[:k] for k in (*range(0, len(content), 7), *range(len(content) - 120, len(content)))]
-    swapped = (content[:k] + content[k : k + 2][::-1] + content[k + 2 :] for k in range(0, len(content), 3))
-    damaged += [each for each in swapped if each != content]
-    # The end, where the digest stands: all bits.
+    # The end is the zip archive's own end, and the digest: all of its bits.
     end = range(len(content) - 104, len(content))
-    damaged += [content[:k] + bytes([content[k] ^ 1 << bit]) + content[k + 1 :] for k in end for bit in range(8)]
-    for each in damaged:
-        path.write_bytes(each)
-        with pytest.raises(ValueError, match=r"a\.npz is damaged|a\.npz is not a"):
-            archive.read(path, KIND)
+    damaged = [flipped(content, k, bit) for k in end for bit in range(8)]
+    damaged += [flipped(content, k, k % 8) for k in range(0, len(content), 3)]
+    damaged += [content[:k] for k in (*range(0, len(content), 19), *end)]
+    for k in range(0, len(content) - 1, 13):
+        damaged += [content[:k] + content[k + 1 :], content[:k] + content[k : k + 1] + content[k:]]
+        damaged += [content[:k] + content[k : k + 2][::-1] + content[k + 2 :]]
+    assert {outcome(path, each) for each in damaged if each != content} == {"refused"}
 
 
 def test_a_bit_flipped_without_a_digest_is_noticed_or_changes_nothing(path):
     without_digest(path)
-    content, refused = bytearray(path.read_bytes()), 0
-    for k in range(len(content)):
-        for bit in (k % 8, (k + 5) % 8):
-            content[k] ^= 1 << bit
-            path.write_bytes(content)
-            try:
-                same(archive.read(path, KIND))
-            except ValueError:
-                refused += 1
-            content[k] ^= 1 << bit
-    assert refused > 1.6 * len(content)
+    content = path.read_bytes()
+    found = [outcome(path, flipped(content, k, k % 8)) for k in range(0, len(content), 3)]
+    assert found.count("refused") > 0.8 * len(found)
 
 
 def npy(header, data=b"", version=b"\1\0"):
