@@ -4,7 +4,7 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train test test-all lint bench report clean
+.PHONY: help setup train test test-all lint bench report docs clean
 
 help:            ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/:/'
@@ -36,8 +36,12 @@ lint: setup      ## format the code and fix what can be fixed
 bench: setup     ## throughput of both engines on this machine
 	$(RUN) -m experiments.throughput out=throughput.json
 
-report: setup    ## report/index.html and the table of README.md, from experiments/results
-	$(RUN) -m experiments.report out=report/index.html readme=README.md
+report: setup    ## report/index.html and the tables of README.md and docs/results.md, from experiments/results
+	$(RUN) -m experiments.report out=report/index.html readme=README.md page=docs/results.md
+
+docs: setup      ## the guide as a site, in site/
+	$(RUN) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	$(RUN) -m mkdocs build --quiet --strict
 
 clean:           ## remove the virtual environment and caches
-	rm -rf $(VENV) .pytest_cache .ruff_cache dist
+	rm -rf $(VENV) .pytest_cache .ruff_cache dist site

@@ -1,6 +1,6 @@
 """What has been measured, as one web page and in the README: `python -m experiments.report out=report/index.html`.
 
-With `readme=README.md` the part of that file between the two markers is written anew. Everything comes from
+With `readme=README.md` and `page=docs/results.md` the part of these files between the two markers is written anew. Everything comes from
 `experiments/results`; what has no result file yet is said to have none. Imports neither JAX nor MuJoCo.
 """
 
@@ -45,7 +45,9 @@ class ReportConfig:
     out: str = "report/index.html"
     """The web page; a folder that is missing is made."""
     readme: str = ""
-    """Markdown file with the two markers, whose text between them is written anew; none if empty."""
+    """Markdown file whose text between the two markers is to be the table of the README; none if empty."""
+    page: str = ""
+    """Markdown file whose text between the two markers is to be all tables; none if empty."""
 
 
 INTRODUCTION = (
@@ -254,7 +256,7 @@ def walked_twice(folder: Path) -> list[str]:
 
 
 def block(folder: Path) -> str:
-    """What stands between the markers of the README."""
+    """What stands between the markers of the page of all results."""
     found = [
         tables.beside_the_paper(folder),
         tables.speeds_and_blends(folder),
@@ -265,7 +267,7 @@ def block(folder: Path) -> str:
 
 
 def with_block(text: str, content: str) -> str:
-    """The README with `content` between its markers.
+    """A page with `content` between its markers.
 
     Raises:
       ValueError: it has no two markers, each once, in order.
@@ -286,9 +288,10 @@ def main(config: ReportConfig) -> None:
     Path(config.out).parent.mkdir(exist_ok=True)
     paths = {config.out: cli.check_writable(config.out)}
     texts = {config.out: whole_page(folder)}
-    if config.readme:
-        paths[config.readme] = cli.check_writable(config.readme)
-        texts[config.readme] = with_block(paths[config.readme].read_text(), block(folder))
+    for name, content in ((config.readme, lambda: markdown(tables.summary(folder))), (config.page, lambda: block(folder))):
+        if name:
+            paths[name] = cli.check_writable(name)
+            texts[name] = with_block(paths[name].read_text(), content())
     for name, text in texts.items():
         cli.write_text(paths[name], text)
         Console(stderr=True).print(f"{name}, {len(text) / 1e3:.0f} kB")

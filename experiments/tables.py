@@ -87,6 +87,33 @@ def beside_the_paper(folder: Path) -> Table:
     return Table(header, rows, [*notes, sources([r for _, found in measured for r in found])])
 
 
+SUMMARY = (
+    "undisturbed return, plain reward, of 300",
+    "return with senses 5 ms late",
+    "largest delay, ms",
+    "terrain z = h sin x, largest h, m",
+    "push forward, worst phase, N",
+    "push backward, worst phase, N",
+    "push sideways, worst phase, N",
+)
+"""The rows of the README's table."""
+
+
+def summary(folder: Path) -> Table:
+    """The best known experiments of the paper, beside the controller that bears most and the policies."""
+    measured = [each for each in walkers(folder) if each[0] in ("stiff", "1x", "1x-robust")]
+    names = (f"`{walker}`" for walker, _ in measured)
+    header = ("", "paper: controller", "paper: policy", *names, "`evaluate`")
+    rows = [
+        (row.experiment, row.paper_controller, row.paper_policy, *values, f"suite={row.suite}")
+        for row, values in _cells(measured).items()
+        if row.experiment in SUMMARY
+    ]
+    seeds = max((len(results) for _, results in measured), default=0)
+    note = f"MuJoCo C at 2 kHz; policies: mean of {seeds} training seeds (least to greatest)."
+    return Table(header, rows, [note])
+
+
 def beside_each_other(folder: Path, patterns: Mapping[str, str]) -> Table | None:
     """Walkers in the paper's experiments; None unless two have results, one of them beyond the `WALKERS`."""
     found = matching(folder, patterns)

@@ -1,4 +1,4 @@
-"""Figures in the README's prose and hand-written tables against the result files that they were taken from."""
+"""Data lint: figures in the prose and hand-written tables of docs/results.md against the result files."""
 
 import json
 import re
@@ -10,7 +10,7 @@ import pytest
 from experiments import studies
 
 ROOT = Path(__file__).parents[1]
-TEXT = " ".join((ROOT / "README.md").read_text().split())
+TEXT = " ".join((ROOT / "docs" / "results.md").read_text().split())
 
 
 def read(result):
@@ -39,7 +39,7 @@ def solver_lines():
 
 
 def quoted():
-    """Pieces of the README, each with its figures filled in from a result."""
+    """Pieces of the page, each with its figures filled in from a result."""
     ours, published = loops("native", "100/50"), loops("native", "100/50", loops="published")
     yield f"at most {ours['loop_error_max_mm']:.2f} mm instead of {published['loop_error_max_mm']:.1f} mm"
     yield from solver_lines()
@@ -52,7 +52,7 @@ def quoted():
 
 
 def learned():
-    """What the seeds of the walk say in the README."""
+    """What the seeds of the walk say."""
     found = {row["quantity"]: row for row in rows("walking", variant="1x")}
     best, plain = found["return_weighted"], found["return_plain"]
     samples, seconds = found["samples_to_250_weighted"], found["train_s_to_250_weighted"]
@@ -203,7 +203,7 @@ def tuned():
 
 
 def bounds():
-    """Patterns of the README, each with the measured figure that the one found must bound closely."""
+    """Patterns of the page, each with the measured figure that the one found must bound closely."""
     converged = rows("agreement", comparison="qacc, float64, converged")
     yield r"agrees with MuJoCo C to (\S+) rad/s²", max(row["difference_max"] for row in converged)
     yield r"off by up to (\S+) rad/s²", max(row["difference_max_without_bias"] for row in converged)
@@ -213,7 +213,10 @@ def bounds():
     yield r"by up to (\S+) mm: both engines", max(-row["smallest_distance_mm"] for row in legs)
 
 
-@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "docs/clusters.md"])
+PAGES = ["README.md", "CONTRIBUTING.md", *(f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md")))]
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_what_a_page_links_to_exists(page):
     targets = re.findall(r"\]\(([^)#:]+)\)", (ROOT / page).read_text())
     assert [target for target in targets if not (ROOT / page).parent.joinpath(target).exists()] == []
@@ -237,19 +240,19 @@ def test_what_a_page_links_to_exists(page):
         *tuned(),
     ],
 )
-def test_what_the_readme_quotes_is_what_was_measured(piece):
+def test_what_the_page_quotes_is_what_was_measured(piece):
     assert piece in TEXT
 
 
 @pytest.mark.parametrize(("pattern", "measured"), list(bounds()))
-def test_bounds_in_the_readme_hold_and_are_close(pattern, measured):
+def test_bounds_on_the_page_hold_and_are_close(pattern, measured):
     found = re.search(pattern, TEXT)
     assert found
     assert 0.99 * measured <= float(found[1]) <= 1.1 * measured
 
 
 def test_robustness_is_trained_as_in_the_study():
-    text = (ROOT / "README.md").read_text().replace("\\\n", " ")
+    text = (ROOT / "docs" / "train.md").read_text().replace("\\\n", " ")
     commands = re.findall(r"python -m cassie_mjx\.train (walk=robust .*)", text)
     told = [dict(argument.split("=", 1) for argument in command.split()) for command in commands]
     first_run, _ = [settings.pop("run_dir") for settings in told]
