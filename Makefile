@@ -41,7 +41,7 @@ report: setup    ## report/index.html and the tables of README.md and docs/resul
 
 docs: setup      ## the guide as a site, in site/
 	$(RUN) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
-	$(RUN) -m mkdocs build --quiet --strict
+	NO_MKDOCS_2_WARNING=1 $(RUN) -m mkdocs build --quiet --strict
 
 clean:           ## remove the virtual environment and caches
 	rm -rf $(VENV) .pytest_cache .ruff_cache dist site

@@ -22,7 +22,8 @@ from cassie_mjx.evaluation.trial import Trial, placed, scenario_of
 from cassie_mjx.heuristic.config import CONTROLLERS
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
-from cassie_mjx.robot.model import WALKING_PAIRS, ModelConfig, load_model
+from cassie_mjx.robot.mjcf import WALKING_PAIRS
+from cassie_mjx.robot.model import ModelConfig, load_model
 
 FAR_M = 0.5
 

@@ -1,7 +1,8 @@
 """What has been measured, as one web page and in the README: `python -m experiments.report out=report/index.html`.
 
-With `readme=README.md` and `page=docs/results.md` the part of these files between the two markers is written anew. Everything comes from
-`experiments/results`; what has no result file yet is said to have none. Imports neither JAX nor MuJoCo.
+With `readme=README.md` and `page=docs/results.md` the tables between the two markers of these files are written anew.
+Everything comes from `experiments/results`; what has no result file yet is said to have none. Imports neither JAX nor
+MuJoCo.
 """
 
 from collections.abc import Sequence
@@ -255,6 +256,11 @@ def walked_twice(folder: Path) -> list[str]:
     return sections
 
 
+def readme_block(folder: Path) -> str:
+    """What stands between the markers of the README."""
+    return markdown(tables.summary(folder))
+
+
 def block(folder: Path) -> str:
     """What stands between the markers of the page of all results."""
     found = [
@@ -288,10 +294,10 @@ def main(config: ReportConfig) -> None:
     Path(config.out).parent.mkdir(exist_ok=True)
     paths = {config.out: cli.check_writable(config.out)}
     texts = {config.out: whole_page(folder)}
-    for name, content in ((config.readme, lambda: markdown(tables.summary(folder))), (config.page, lambda: block(folder))):
+    for name, content in ((config.readme, readme_block), (config.page, block)):
         if name:
             paths[name] = cli.check_writable(name)
-            texts[name] = with_block(paths[name].read_text(), content())
+            texts[name] = with_block(paths[name].read_text(), content(folder))
     for name, text in texts.items():
         cli.write_text(paths[name], text)
         Console(stderr=True).print(f"{name}, {len(text) / 1e3:.0f} kB")

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cassie_mjx.envs import reward
-from cassie_mjx.envs.brax_env import CassieEnv
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.scenario import ScenarioConfig, draw_scenario, renew_scenario
 from cassie_mjx.envs.walk import WalkEnv
@@ -175,6 +174,35 @@ def test_a_reset_draws_everything_anew(hills, motion):
     pytest.fail("the reference angles alone do not walk")
 
 
+@pytest.mark.parametrize("engine", ["native", pytest.param("mjx", marks=pytest.mark.slow)])
+def test_a_new_episode_senses_nothing_of_the_old_under_delay(hills, motion, engine):
+    """On MJX all of it is one compiled scan, as in training."""
+    physics = hills if engine == "native" else MjxPhysics(load_mjx_model(MJX_TRAINING), max_delay=5)
+    task = ScenarioConfig(delay_s=0.0045)
+    env = make(physics, motion, task, episode_steps=2, start_velocity_mps=0.0, start_offset_m=0.0)
+    action = 0.1 * jax.random.normal(jax.random.key(3), (ROBOTS, 10))
+
+    def step(state, key):
+        state = env.step(state, action, key)
+        return state, state
+
+    state, keys = env.reset(jax.random.key(0)), jax.random.split(jax.random.key(1), 3)
+    if engine == "mjx":
+        _, after = jax.jit(lambda state: jax.lax.scan(step, state, keys))(state)
+        _, renewed, onward = (jax.tree.map(lambda x, k=k: x[k], after) for k in range(3))
+    else:
+        _, renewed, onward = (state := step(state, key)[0] for key in keys)
+    assert np.asarray(renewed.truncated).all()
+    assert len(set(np.asarray(renewed.scenario.delay).tolist())) > 2
+    now = np.concatenate([renewed.physics.qpos, renewed.physics.qvel], axis=1)
+    np.testing.assert_array_equal(renewed.physics.history, np.repeat(now[:, None], 6, axis=1))
+    clean = env.reset_at(renewed.motion.time, renewed.scenario)
+    np.testing.assert_allclose(renewed.observation, clean.observation, atol=1e-6)
+    clean, _ = step(clean, keys[2])
+    np.testing.assert_allclose(onward.observation, clean.observation, atol=1e-3)
+    np.testing.assert_allclose(onward.physics.history, clean.physics.history, atol=1e-3)
+
+
 def test_without_disturbances_keys_draw_what_they_always_drew(hills, motion):
     env = make(hills, motion, ScenarioConfig(), episode_steps=1)
     state = env.reset(jax.random.key(8))
@@ -214,9 +242,3 @@ def test_bad_configurations(motion):
             ScenarioConfig(**{name: value})
     with pytest.raises(ValueError, match=r"delay_s=0.01 is 10 physics steps; this engine was made for 0 to 0\."):
         make(NativePhysics(load_model(MODEL)), motion, ScenarioConfig(delay_s=0.01))
-
-
-def test_brax_gets_no_disturbances(motion):
-
-    with pytest.raises(ValueError, match="is not for CassieEnv"):
-        CassieEnv(motion, WalkConfig(scenario=ScenarioConfig(push_n=100)))

@@ -25,7 +25,20 @@ def walk(controller, model, seconds):
         torque = controller.torque(targets, data.qpos, data.qvel)
         data.ctrl[joints.motors] = torque / model.actuator_gear[joints.motors, 0]
         mujoco.mj_step(model, data)
-    return data.qpos[joints.qpos[2]], data.qpos[joints.qpos[0]]
+    return data.body("cassie-pelvis").xpos[[2, 0]]
+
+
+def give_root(spec, *kinds):
+    """Joints of these kinds for the pelvis, in this order; of slides there are three."""
+    for key in list(spec.keys):
+        spec.delete(key)
+    pelvis = spec.body("cassie-pelvis")
+    spec.delete(pelvis.joints[0])
+    for kind in kinds:
+        for name, axis in (
+            zip("xyz", np.eye(3), strict=True) if kind == mujoco.mjtJoint.mjJNT_SLIDE else [("turn", [0, 0, 1])]
+        ):
+            pelvis.add_joint(name=f"pelvis-{name}", type=kind, axis=axis)
 
 
 @pytest.fixture(scope="module")
@@ -37,15 +50,7 @@ def scene():
 def other_root():
     """Another MJCF of the robot: three slides and a ball for its root, and a swinging body before it."""
     spec = mujoco.MjSpec.from_file(str(xml_path("flat")))
-    for key in list(spec.keys):
-        spec.delete(key)
-    pelvis = spec.body("cassie-pelvis")
-    spec.delete(pelvis.joints[0])
-    for name, axis in zip("xyz", np.eye(3), strict=True):
-        pelvis.add_joint(name=f"pelvis-{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-    pelvis.add_joint(name="pelvis-turn", type=mujoco.mjtJoint.mjJNT_BALL)
-    # Slides count from where the body stands in the file.
-    pelvis.pos = np.zeros(3)
+    give_root(spec, mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_BALL)
     bell = spec.worldbody.add_body(name="bell", pos=[0, 5, 2])
     bell.add_joint(name="swing", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[1, 0, 0])
     bell.add_geom(size=[0.1, 0, 0], pos=[0, 0, -0.5])
@@ -66,6 +71,46 @@ def test_another_root_and_another_order_make_no_difference(scene, other_root):
     height, way = walk(controller, other_root, 3.0)
     assert 0.85 < height < 1.05
     assert way == pytest.approx(3 * 0.71, abs=0.25)
+
+
+def test_slides_count_from_where_the_pelvis_stands_in_the_file(scene):
+    """The published MJCF has its pelvis at a height of 1.01 m, and its slides at 0 there."""
+    raised = mujoco.MjSpec.from_file(str(xml_path("flat")))
+    give_root(raised, mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_BALL)
+    raised.joint("pelvis-z").ref = 0.3
+    model = raised.compile()
+    controller, usual = Controller.load("1x", model), Controller.load("1x", scene)
+    np.testing.assert_allclose(controller.joints.origin, [0, 0, 0.71])
+    qpos, qvel = controller.initial_state(np.zeros(35), np.zeros(32))
+    same, same_v = usual.initial_state(np.zeros(35), np.zeros(32))
+    assert qpos[2] == pytest.approx(same[2] - 0.71)
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    assert data.body("cassie-pelvis").xpos[2] == pytest.approx(same[2])
+    np.testing.assert_allclose(controller(qpos, qvel), usual(same, same_v), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "found"), [(("BALL", "SLIDE"), "ball, slide, slide, slide"), (("SLIDE",), "slide, slide, slide")]
+)
+def test_a_root_of_another_kind_is_refused(kinds, found):
+    spec = mujoco.MjSpec.from_file(str(xml_path("flat")))
+    give_root(spec, *(getattr(mujoco.mjtJoint, f"mjJNT_{kind}") for kind in kinds))
+    with pytest.raises(ValueError, match=f"three slides along x, y, z and then a ball; it has {found}."):
+        Controller.load("1x", spec.compile())
+
+
+def test_a_joint_without_an_actuator_is_named_when_motors_are_asked_for():
+    spec = mujoco.MjSpec.from_file(str(xml_path("flat")))
+    for sensor in list(spec.sensors):
+        spec.delete(sensor)
+    for actuator in list(spec.actuators)[1:]:
+        spec.delete(actuator)
+    controller = Controller.load("1x", spec.compile())
+    controller(*controller.initial_state(np.zeros(35), np.zeros(32)))
+    with pytest.raises(ValueError, match="no actuator on left-hip-yaw, .*right-foot; it has them on left-hip-roll."):
+        _ = controller.joints.motors
 
 
 def test_its_targets_are_the_agents(scene):

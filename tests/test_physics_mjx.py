@@ -151,6 +151,19 @@ def test_advance_can_be_scanned_inside_a_jit(physics, states):
     np.testing.assert_allclose(scanned.qpos, state.qpos, atol=1e-3)
 
 
+def test_far_from_the_origin_a_control_step_is_the_same(physics, states):
+    """170 m is 60 s at four times the speed; float32 has steps of 15 µm there."""
+    qpos, qvel, targets, scenario = states
+    far = qpos + 170.0 * (np.arange(cassie.NQ) == 0)
+    near, moved = (
+        physics.advance(physics.init(q.astype(np.float32), qvel.astype(np.float32)), targets, scenario, 32)
+        for q in (qpos, far)
+    )
+    np.testing.assert_allclose(np.asarray(moved.qpos[:, 0], float) - 170, near.qpos[:, 0], atol=1e-3)
+    np.testing.assert_allclose(moved.qpos[:, 1:], near.qpos[:, 1:], atol=1e-3)
+    np.testing.assert_allclose(moved.qvel, near.qvel, atol=0.1)
+
+
 def test_bad_input_gets_one_sentence(physics, states):
     qpos, qvel, targets, scenario = states
     with pytest.raises(ValueError, match=r"qvel\[0, 3\] is inf"):

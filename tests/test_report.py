@@ -13,7 +13,7 @@ import pytest
 
 from cassie_mjx.reporting.tables import markdown
 from experiments import report, tables
-from experiments.report import MARKERS, ReportConfig, block, main, whole_page, with_block
+from experiments.report import MARKERS, ReportConfig, block, main, readme_block, whole_page, with_block
 
 ROOT = Path(__file__).parents[1]
 PROVENANCE = {"command": "python -m made.up", "commit": "abc", "date": "2026-01-02", "hardware": "a CPU, 2 cores"}
@@ -331,10 +331,10 @@ def test_a_folder_that_is_none_is_refused(tmp_path):
         main(ReportConfig(str(tmp_path / "missing"), str(tmp_path / "page.html")))
 
 
-def test_the_readme_shows_what_the_results_say():
-    readme = (ROOT / "README.md").read_text()
-    current = with_block(readme, block(ROOT / "experiments" / "results"))
-    assert readme == current, "run `make report`"
+@pytest.mark.parametrize(("page", "tables_of"), [("README.md", readme_block), ("docs/results.md", block)])
+def test_pages_show_what_the_results_say(page, tables_of):
+    text = (ROOT / page).read_text()
+    assert text == with_block(text, tables_of(ROOT / "experiments" / "results")), "run `make report`"
 
 
 def test_the_report_needs_neither_jax_nor_mujoco():

@@ -1,10 +1,15 @@
 """The return by hand: rewards and falls are written down."""
 
+import json
+from pathlib import Path
+
 import jax
 import numpy as np
 import pytest
 
 from cassie_mjx.agents.make import make_policy_agent
+from cassie_mjx.agents.numpy_policy import NumpyPolicy
+from cassie_mjx.agents.shipped import shipped_policies
 from cassie_mjx.control.network import Network
 from cassie_mjx.evaluation import returns
 from cassie_mjx.evaluation.returns import STARTS, ReturnRecord, walk_returns
@@ -12,6 +17,8 @@ from cassie_mjx.motion.reference import sample
 from cassie_mjx.physics.make import make_physics
 from cassie_mjx.physics.types import PhysicsState, Scenario
 from cassie_mjx.robot.model import ModelConfig
+
+EVALUATIONS = Path(__file__).parents[1] / "experiments" / "results" / "evaluate"
 
 
 @pytest.fixture(scope="module")
@@ -78,3 +85,35 @@ def test_a_network_as_an_argument_gives_what_its_own_compilation_does(agent, phy
     step = jax.jit(partial(policy_step, agent.law, agent.motion))
     other = type(agent)("1x", agent.law, agent.motion, agent.network, step=step)
     assert walk_returns(other, physics) == pytest.approx(walk_returns(agent, physics), rel=1e-4)
+
+
+def recorded(name):
+    """Returns of a shipped policy: as its training measured them, and as an evaluation of it is committed."""
+    policy = NumpyPolicy.load(shipped_policies()[name])
+    sources = [policy.provenance]
+    path = EVALUATIONS / f"{name}-seed{policy.provenance['seed']}.json"
+    if path.is_file():
+        sources.append({row["quantity"]: row["value"] for row in json.loads(path.read_text())["rows"]})
+    return [(source["return_plain"], source["return_weighted"]) for source in sources]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["0x", "1x", "1x-robust", "2x", "3x", "4x"])
+def test_a_shipped_policy_still_earns_what_is_recorded(physics, name):
+    found = walk_returns(make_policy_agent(name), physics)
+    assert found["steps"] == 300
+    expected = recorded(name)
+    assert len(expected) == (2 if name in ("1x", "1x-robust", "2x") else 1)
+    for values in expected:
+        # Other processors round otherwise; a wrong sign of the reference's quaternion costs 265.
+        assert (found["return_plain"], found["return_weighted"]) == pytest.approx(values, abs=0.5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("speed", ["1x", "2x"])
+def test_the_policy_of_all_speeds_still_earns_what_is_recorded(physics, speed):
+    found = walk_returns(make_policy_agent("any", speed=speed), physics)
+    rows = json.loads((EVALUATIONS / f"any-{speed}-seed0.json").read_text())["rows"]
+    expected = {row["quantity"]: row["value"] for row in rows}
+    for quantity in ("return_plain", "return_weighted"):
+        assert found[quantity] == pytest.approx(expected[quantity], abs=0.5)

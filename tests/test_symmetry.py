@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any
 
 import jax
+import mujoco
 import numpy as np
 import pytest
 from seeing import FULL, canonical, in_both_steps, observe
@@ -28,7 +29,7 @@ from cassie_mjx.physics.types import Scenario
 from cassie_mjx.ppo import learner, networks
 from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.robot import cassie
-from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_model
+from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_model, xml_path
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +126,36 @@ def test_a_reference_whose_steps_are_no_mirror_images_is_refused(motion):
     with pytest.raises(ValueError, match="second step mirrors its first, and this one's does not; set walk.symmetric"):
         WalkEnv(physics, motion._replace(qpos=qpos), WalkConfig(symmetric=True), 2)
     WalkEnv(physics, motion._replace(qpos=qpos), WalkConfig(), 2)
+
+
+def symmetric_model(tmp_path):
+    """The model without what the published figures have on one side alone: centres of mass and products of inertia."""
+    spec = mujoco.MjSpec.from_file(str(xml_path("flat")))
+    for name in ("cassie-pelvis", "left-hip-roll", "right-hip-roll"):
+        body = spec.body(name)
+        body.ipos = body.ipos * [1, 0, 1]
+        # xx, yy, zz, xy, xz, yz
+        body.fullinertia = body.fullinertia * [1, 1, 1, 0, 1, 0]
+    for path in xml_path("flat").parent.glob("*.xml"):
+        (tmp_path / path.name).write_text(path.read_text())
+    (tmp_path / "symmetric.xml").write_text(spec.to_xml())
+    return load_model(ModelConfig(), tmp_path / "symmetric.xml")
+
+
+def test_a_mirrored_robot_under_mirrored_targets_moves_as_in_the_mirror(motion, tmp_path):
+    physics, rng = NativePhysics(symmetric_model(tmp_path)), np.random.default_rng(0)
+    qvel = motion.qvel + 0.1 * rng.normal(size=motion.qvel.shape)
+    targets = motion.qpos[:, cassie.ACTIVE_QPOS] + 0.1 * rng.normal(size=(22, cassie.NU))
+    push = rng.uniform(-80, 80, (22, 3))
+    robots = physics.init(motion.qpos, qvel)
+    images = physics.init(cassie.mirror_qpos(motion.qpos), cassie.mirror_qvel(qvel))
+    for steps in (1, 64):
+        scenario = Scenario.nominal(22, push=push, push_stop=np.int32(40))
+        mirrored = Scenario.nominal(22, push=push * [1, -1, 1], push_stop=np.int32(40))
+        robots = physics.advance(robots, targets, scenario, steps)
+        images = physics.advance(images, cassie.mirror_active(targets), mirrored, steps)
+        np.testing.assert_allclose(images.qpos, cassie.mirror_qpos(robots.qpos), atol=1e-7)
+        np.testing.assert_allclose(images.qvel, cassie.mirror_qvel(robots.qvel), atol=1e-5)
 
 
 @pytest.mark.parametrize("symmetric", [True, False])

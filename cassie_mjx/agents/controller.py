@@ -20,6 +20,10 @@ from cassie_mjx.motion.command import Command
 from cassie_mjx.motion.reference import ReferenceMotion, sample
 from cassie_mjx.robot import cassie
 
+# MuJoCo's numbers of the kinds of joints, and of transmissions to a joint.
+_KINDS = ("free", "ball", "slide", "hinge")
+_ON_JOINT = (0, 1)
+
 
 class Joints:
     """Where a model's qpos, qvel and actuators have Cassie's joints, matched by name."""
@@ -29,6 +33,7 @@ class Joints:
         root: tuple[Iterable[int], Iterable[int]],
         addresses: Mapping[str, tuple[int, int]],
         motors: Mapping[str, int],
+        origin: Iterable[float] = (0.0, 0.0, 0.0),
     ) -> None:
         """Match names.
 
@@ -37,6 +42,7 @@ class Joints:
             in the world, angular in the pelvis.
           addresses: joint name to its first address in qpos and in qvel.
           motors: joint name to the index of the actuator that drives it.
+          origin: where in the world the pelvis is when its position in qpos is 0, m.
 
         Raises:
           ValueError: a joint that is observed or driven is not there.
@@ -59,7 +65,17 @@ class Joints:
         self.active_qpos, self.active_qvel = (
             np.array([addresses[name][i] for name in cassie.ACTUATORS]) for i in range(2)
         )
-        self.motors = np.array([motors.get(name, -1) for name in cassie.ACTUATORS])
+        self.origin, self._motors = np.array(list(origin)), dict(motors)
+
+    @property
+    def motors(self) -> np.ndarray:
+        """Indices of the actuators of the ten active joints, [10]. Raises ValueError if one has none."""
+        missing = [name for name in cassie.ACTUATORS if name not in self._motors]
+        if missing:
+            raise ValueError(
+                f"The model has no actuator on {', '.join(missing)}; it has them on {_list(self._motors)}."
+            )
+        return np.array([self._motors[name] for name in cassie.ACTUATORS])
 
     @classmethod
     def of(cls, model: Any) -> "Joints":
@@ -74,16 +90,19 @@ class Joints:
         }
         _check_names(addresses)
         pelvis = model.body_parentid[model.jnt_bodyid[names.index(cassie.ACTUATORS[0])]]
-        roots = [i for i in range(model.njnt) if model.jnt_bodyid[i] == pelvis]
-        # Widths in qpos and qvel of MuJoCo's joints: free, ball, slide, hinge.
-        widths = ((7, 6), (4, 3), (1, 1), (1, 1))
-        spans = [(model.jnt_qposadr[i], model.jnt_dofadr[i], *widths[model.jnt_type[i]]) for i in roots]
-        qpos = [int(q) + k for q, _, nq, _ in spans for k in range(nq)]
-        qvel = [int(v) + k for _, v, _, nv in spans for k in range(nv)]
-        if (len(qpos), len(qvel)) != (7, 6):
-            raise ValueError("The pelvis does not float: it needs a free joint, or three slides and a ball.")
-        motors = {names[model.actuator_trnid[i, 0]]: i for i in range(model.nu)}
-        return cls((qpos, qvel), addresses, motors)
+        root = [i for i in range(model.njnt) if model.jnt_bodyid[i] == pelvis]
+        kinds = [_KINDS[int(model.jnt_type[i])] for i in root]
+        straight = np.array_equal(model.jnt_axis[root[:3]], np.eye(3)) or kinds == ["free"]
+        if kinds not in (["free"], ["slide", "slide", "slide", "ball"]) or not straight:
+            raise ValueError(
+                "The pelvis does not float: it needs a free joint, or three slides along x, y, z and then a ball; "
+                f"it has {_list(kinds)}."
+            )
+        # They follow each other in qpos and in qvel.
+        qpos, qvel = model.jnt_qposadr[root[0]] + np.arange(7), model.jnt_dofadr[root[0]] + np.arange(6)
+        on_joints = [i for i in range(model.nu) if model.actuator_trntype[i] in _ON_JOINT]
+        motors = {names[model.actuator_trnid[i, 0]]: i for i in on_joints}
+        return cls((qpos, qvel), addresses, motors, model.body_pos[pelvis] - model.qpos0[qpos[:3]])
 
     @classmethod
     def own(cls) -> "Joints":
@@ -95,11 +114,15 @@ class Joints:
         return cls((cassie.qpos_index("pelvis"), cassie.qvel_index("pelvis")), addresses, motors)
 
 
+def _list(names: Iterable[str]) -> str:
+    return ", ".join(names) or "none"
+
+
 def _check_names(addresses: Mapping[str, tuple[int, int]]) -> None:
     """Raise ValueError unless there is every joint that is observed or driven."""
     missing = [name for name in (*cassie.ACTUATORS, *cassie.SPRUNG_NAMES) if name not in addresses]
     if missing:
-        raise ValueError(f"The model lacks the joints {', '.join(missing)}; it has {', '.join(addresses)}.")
+        raise ValueError(f"The model lacks the joints {', '.join(missing)}; it has {_list(addresses)}.")
 
 
 class Controller:
@@ -135,6 +158,7 @@ class Controller:
         """Copies of a model's qpos [nq] and qvel [nv] with the robot at the start of the reference motion."""
         qpos, qvel = np.array(qpos, float), np.array(qvel, float)
         qpos[self.joints.qpos] = self.motion.qpos[0, self.joints.own_qpos]
+        qpos[self.joints.qpos[:3]] -= self.joints.origin
         qvel[self.joints.qvel] = self.motion.qvel[0, self.joints.own_qvel]
         return qpos, qvel
 
@@ -148,6 +172,7 @@ class Controller:
         """
         own_qpos, own_qvel = np.zeros((1, cassie.NQ)), np.zeros((1, cassie.NV))
         own_qpos[0, self.joints.own_qpos] = np.asarray(qpos)[self.joints.qpos]
+        own_qpos[0, cassie.PELVIS_POSITION] += self.joints.origin
         own_qvel[0, self.joints.own_qvel] = np.asarray(qvel)[self.joints.qvel]
         told = None if command is None else Command(np.array([command], float))
         ahead = sample(self.motion, np.array([self._step + 1]), told)

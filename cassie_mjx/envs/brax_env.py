@@ -68,6 +68,20 @@ class CassieEnv(PipelineEnv):
         physics = make_physics("mjx", model)
         self._walk = WalkEnv(physics, motion, endless, robots=1)
 
+    @property
+    def sys(self) -> base.System:
+        """What Brax renders, and reads sizes from; it is not stepped."""
+        return self._sys
+
+    @sys.setter
+    def sys(self, sys: base.System) -> None:
+        if sys is not getattr(self, "_sys", sys):
+            raise ValueError(
+                "CassieEnv does not step `sys`, so a randomization_fn would change nothing; for robots that differ, "
+                "train with cassie_mjx.train and the ranges of walk.scenario."
+            )
+        self._sys = sys
+
     def reset(self, rng: jax.Array) -> State:
         """A robot near the reference motion, at a phase and a velocity drawn with `rng`."""
         return self._view(self._walk.reset(rng))

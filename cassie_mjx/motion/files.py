@@ -8,25 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from cassie_mjx.motion.recording import beyond_limits
-from cassie_mjx.motion.reference import QUATERNION_NAMES, QUATERNIONS, ReferenceMotion, mix_qpos
+from cassie_mjx.motion.checks import ARRAYS, check_arrays, check_motion
+from cassie_mjx.motion.reference import ReferenceMotion, aligned, mix_qpos
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
-from cassie_mjx.robot.model import ModelConfig, load_model
 
 SHIPPED = ("walk",)
 
 _FORMAT, _VERSION = "cassie-mjx reference motion", 1
-_ARRAYS = ("qpos", "qvel", "stride_length")
 
 # The public trajectory file: time, qpos, qvel, then motor torques, positions and velocities, 10 each.
 _COLUMNS = 98
 _TIME, _QPOS, _QVEL = 0, slice(1, 36), slice(36, 68)
 
-# What tells another robot, or no robot, from Cassie: coarse, for recorded motions overshoot the limits a little.
-_HEIGHTS_M = (cassie.FALL_LOW_M, cassie.FALL_HIGH_M)
-_BEYOND_LIMIT_RAD = 0.3
-_NOT_UNIT = 1e-3
 _NOT_PERIODIC_RAD = 0.1
 _LONGEST_STRIDE_S = 10.0
 
@@ -42,7 +36,9 @@ def load_motion(name_or_path: str) -> ReferenceMotion:
     path = Path(name_or_path)
     if not path.is_file():
         raise ValueError(f"reference={name_or_path!r} is neither {', '.join(SHIPPED)} nor a file.")
-    return read_motion(path)[0] if path.suffix == ".npz" else read_trajectory(path)
+    motion = aligned(read_motion(path)[0] if path.suffix == ".npz" else read_trajectory(path))
+    check_motion(motion, path)
+    return motion
 
 
 def shipped_path(name: str) -> Path:
@@ -52,7 +48,7 @@ def shipped_path(name: str) -> Path:
 
 def save_motion(path: Path, motion: ReferenceMotion, provenance: dict[str, Any]) -> None:
     """Write `motion` and where it came from to `path`, whole or not at all."""
-    content: dict[str, Any] = {name: np.asarray(getattr(motion, name), np.float64) for name in _ARRAYS}
+    content: dict[str, Any] = {name: np.asarray(getattr(motion, name), np.float64) for name in ARRAYS}
     content |= {"periodic": motion.periodic}
     content |= {"format": _FORMAT, "version": _VERSION, "provenance": json.dumps(provenance)}
     partial = path.with_name(path.name + ".partial")
@@ -67,7 +63,7 @@ def read_motion(path: Path) -> tuple[ReferenceMotion, dict[str, Any]]:
     Raises:
       ValueError: the file is not readable, not of this format and version, or not a motion of Cassie.
     """
-    names = ("format", "version", "provenance", *_ARRAYS)
+    names = ("format", "version", "provenance", *ARRAYS)
     try:
         with np.load(path, allow_pickle=False) as content:
             found = {name: np.asarray(content[name]) for name in names if name in content}
@@ -81,7 +77,7 @@ def read_motion(path: Path) -> tuple[ReferenceMotion, dict[str, Any]]:
     if version != _VERSION:
         raise ValueError(f"{path} has version {version} of the format; this program reads version {_VERSION}.")
     motion = ReferenceMotion(found["qpos"], found["qvel"], found["stride_length"], periodic)
-    _check(motion, path)
+    check_arrays(motion, path)
     return motion, provenance
 
 
@@ -103,7 +99,9 @@ def read_trajectory(path: Path) -> ReferenceMotion:
         )
     rows = np.frombuffer(content, "<f8").reshape(-1, _COLUMNS)
     time, qpos, qvel = rows[:, _TIME], rows[:, _QPOS], rows[:, _QVEL]
-    _check(ReferenceMotion(qpos, qvel, qpos[-1, cassie.PELVIS_X] - qpos[0, cassie.PELVIS_X]), path)
+    recorded = ReferenceMotion(qpos, qvel, qpos[-1, cassie.PELVIS_X] - qpos[0, cassie.PELVIS_X])
+    check_arrays(recorded, path)
+    qpos = aligned(recorded).qpos
     duration = time[-1] - time[0]
     if not (np.diff(time) > 0).all() or not 2 * CONTROL_PERIOD_S <= duration <= _LONGEST_STRIDE_S:
         raise ValueError(
@@ -126,33 +124,3 @@ def read_trajectory(path: Path) -> ReferenceMotion:
     pace = duration / (samples * CONTROL_PERIOD_S)
     velocity = pace * (share * qvel[before + 1] + (1 - share) * qvel[before])
     return ReferenceMotion(resampled, velocity, qpos[-1, cassie.PELVIS_X] - qpos[0, cassie.PELVIS_X])
-
-
-def _check(motion: ReferenceMotion, path: Path) -> None:
-    """Raise ValueError unless the arrays can be a motion of Cassie."""
-    shapes = tuple(getattr(motion, name).shape for name in _ARRAYS)
-    samples = len(motion.qpos) if motion.qpos.ndim else 0
-    if shapes != ((samples, cassie.NQ), (samples, cassie.NV), ()) or samples < 2:
-        raise ValueError(
-            f"{path} has qpos, qvel and stride_length of shapes {', '.join(map(str, shapes))}; "
-            "a motion has [N, 35], [N, 32] and [], N at least 2."
-        )
-    for name in _ARRAYS:
-        array = getattr(motion, name)
-        if array.dtype.kind != "f" or not np.isfinite(array).all():
-            raise ValueError(f"{path}: {name} has values that are not finite numbers.")
-    norms = np.linalg.norm(motion.qpos[:, QUATERNIONS], axis=-1)
-    k, j = np.unravel_index(np.abs(norms - 1).argmax(), norms.shape)
-    if abs(norms[k, j] - 1) > _NOT_UNIT:
-        raise ValueError(
-            f"{path} is no motion of Cassie: row {k} has a {QUATERNION_NAMES[j]} quaternion of norm {norms[k, j]:.3g}."
-        )
-    low, high = motion.qpos[:, cassie.PELVIS_Z].min(), motion.qpos[:, cassie.PELVIS_Z].max()
-    if low < _HEIGHTS_M[0] or high > _HEIGHTS_M[1]:
-        raise ValueError(
-            f"{path} is no walk of Cassie: the pelvis goes from {low:.3g} to {high:.3g} m, which is not within "
-            f"{_HEIGHTS_M[0]} to {_HEIGHTS_M[1]} m."
-        )
-    worst, sentence = beyond_limits(load_model(ModelConfig()), motion.qpos)
-    if worst > _BEYOND_LIMIT_RAD:
-        raise ValueError(f"{path} is no motion of Cassie: {sentence}.")

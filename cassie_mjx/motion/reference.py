@@ -142,6 +142,17 @@ def mix_qpos(a: Array, b: Array, lam: Array) -> Array:
     return mixed / xp.concatenate([norms, ones], axis=-1)[..., _QUATERNION_OF]
 
 
+def aligned(motion: ReferenceMotion) -> ReferenceMotion:
+    """The same motion with quaternions whose sign, which means nothing, never jumps and begins with w >= 0."""
+    xp = namespace(motion.qpos)
+    quaternions = motion.qpos[:, QUATERNIONS]
+    ones = xp.ones_like(motion.qpos[:, :1])
+    neighbours = xp.sum(quaternions[1:] * quaternions[:-1], axis=-1)
+    kept = xp.concatenate([quaternions[:1, :, 0], neighbours]) >= 0
+    sign = xp.cumprod(xp.where(kept, ones, -ones), axis=0)
+    return motion._replace(qpos=motion.qpos * xp.concatenate([sign, ones], axis=-1)[:, _QUATERNION_OF])
+
+
 def steps_mirror(motion: ReferenceMotion, tolerance: float = 1e-3) -> bool:
     """Whether the second half of a stride is the mirror image of the first, to `tolerance` in every coordinate."""
     samples = motion.qpos.shape[0]

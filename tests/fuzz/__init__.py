@@ -1,0 +1,1 @@
+"""Seeded attempts to break the product; `python -m tests.fuzz`."""
