@@ -1,4 +1,7 @@
-"""A policy as a file of its own: `python -m cassie_mjx.export run=runs/1x-seed0 out=policy.npz`."""
+"""A policy as a file of its own: `python -m cassie_mjx.export run=runs/1x-seed0 out=policy.npz`.
+
+An .npz file is what this package reads and runs on NumPy; an .onnx file is for ONNX Runtime and its like.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,9 +10,13 @@ from typing import ClassVar
 
 from cassie_mjx import cli
 from cassie_mjx.agents.numpy_policy import FORMAT, NumpyPolicy
+from cassie_mjx.agents.onnx_file import PRODUCER, save_onnx
+from cassie_mjx.agents.shipped import find_policy
 from cassie_mjx.files import archive
 
 POLICY = cli.Kind("a policy of ours outside a run", lambda path: archive.is_kind(path, FORMAT) and not _in_a_run(path))
+ONNX = cli.marked("a policy of ours", PRODUCER.encode())
+KINDS = {".npz": POLICY, ".onnx": ONNX}
 
 
 @dataclass(frozen=True)
@@ -18,20 +25,34 @@ class ExportConfig:
 
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"which": ("best", "last")}
 
-    run: str
-    """Directory of a training run, or a policy's .npz file."""
     out: str
-    """File to write, .npz."""
+    """File to write, .npz or .onnx."""
+    run: str | None = None
+    """Directory of a training run, or a policy's .npz file; either this or a policy must be given."""
+    policy: str | None = None
+    """A policy that we ship, or a policy's .npz file."""
     which: str = "best"
     """"best": of the highest return by the reward it learned from, under disturbances the last; "last": the last."""
     overwrite: bool = False
     """Whether to replace a file that is no policy of ours, or belongs to a run."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError for a choice that is not known, or a file of another kind."""
+        """Raise ValueError for a choice that is not known, and for what does not go together."""
         cli.check_choices(self)
-        if not self.out.endswith(".npz"):
-            raise ValueError(f"out={self.out} is no policy file; name one that ends in .npz.")
+        if (self.run is None) == (self.policy is None):
+            raise ValueError("Either run or policy must be given, as in run=runs/1x-seed0 or policy=1x.")
+        if self.policy is not None and self.which != "best":
+            raise ValueError(f"which={self.which} is for a run; give run={self.policy}, or leave which out.")
+        if Path(self.out).suffix not in KINDS:
+            raise ValueError(f"out={self.out} is no policy's file; name one that ends in {' or '.join(KINDS)}.")
+
+    @property
+    def source(self) -> Path:
+        """The .npz file of the policy. Raises ValueError if there is no policy of that name."""
+        if self.policy:
+            return find_policy(self.policy)
+        run = Path(self.run or "")
+        return run if run.is_file() else run / f"{self.which}.npz"
 
 
 def _in_a_run(path: Path) -> bool:
@@ -39,11 +60,13 @@ def _in_a_run(path: Path) -> bool:
 
 
 def main(config: ExportConfig) -> None:
-    """Copy a policy to a file of its own, checked, and with its SHA-256."""
-    run = Path(config.run)
-    source = run if run.is_file() else run / f"{config.which}.npz"
-    policy, out = NumpyPolicy.load(source), cli.check_output(config.out, POLICY, config.overwrite)
-    archive.write(out, FORMAT, archive.read(source, FORMAT).arrays, policy.provenance)
+    """Write a policy to a file of its own, checked."""
+    policy = NumpyPolicy.load(config.source)
+    out = cli.check_output(config.out, KINDS[Path(config.out).suffix], config.overwrite)
+    if Path(config.out).suffix == ".onnx":
+        save_onnx(out, policy, config.policy or config.run or "")
+    else:
+        archive.write(out, FORMAT, archive.read(config.source, FORMAT).arrays, policy.provenance)
     numbers = {name: value for name, value in policy.provenance.items() if isinstance(value, int | float)}
     returns = [f"{name} {value:.1f}" for name, value in numbers.items() if name.startswith("return_")]
     print(f"{config.out}: {', '.join(returns)}")

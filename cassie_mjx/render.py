@@ -11,18 +11,10 @@ from rich.progress import track
 
 from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
-from cassie_mjx.evaluation.draw import (
-    CAMERAS,
-    ENCODINGS,
-    FASTEST_GIF,
-    FILM,
-    draw_frames,
-    load_scene,
-    open_renderer,
-    write_video,
-)
+from cassie_mjx.evaluation.draw import ENCODINGS, FASTEST_GIF, FILM, draw_frames, write_video
 from cassie_mjx.evaluation.film import film
 from cassie_mjx.evaluation.trial import Trial
+from cassie_mjx.robot.drawing import CAMERAS, load_scene, open_renderer
 from cassie_mjx.robot.model import ModelConfig
 
 

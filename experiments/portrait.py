@@ -7,8 +7,8 @@ from typing import ClassVar
 import mujoco
 
 from cassie_mjx import cli
-from cassie_mjx.evaluation.draw import CAMERAS, load_scene, open_renderer
 from cassie_mjx.motion.files import load_motion
+from cassie_mjx.robot.drawing import CAMERAS, load_scene, open_renderer
 from experiments import pictures
 
 

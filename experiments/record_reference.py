@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from cassie_mjx import cli
 from cassie_mjx.agents.heuristic import HeuristicAgent
 from cassie_mjx.envs.termination import fallen
-from cassie_mjx.evaluation.draw import load_scene, open_renderer
 from cassie_mjx.evaluation.steady import begin, walk_on
 from cassie_mjx.files.archive import is_kind
 from cassie_mjx.heuristic.config import CONTROLLERS
@@ -27,6 +26,7 @@ from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
+from cassie_mjx.robot.drawing import load_scene, open_renderer
 from cassie_mjx.robot.loops import loop_error
 from cassie_mjx.robot.model import ModelConfig, load_model
 from experiments import pictures

@@ -37,6 +37,9 @@ LIGHT = (
     "control",
     "reporting",
 )
+# What an extra is for: these alone import what it installs.
+VIEWS = {"agents/onnx_file.py": "onnx", "envs/gymnasium_env.py": "gymnasium"}
+OWNERS = packages_distributions()
 HEAVY = {"jax", "flax", "mujoco", "brax", "optax", "orbax"}
 
 
@@ -76,10 +79,9 @@ def test_imports_go_down(path):
 
 def distributions(paths):
     """What has to be installed for these files, apart from Python and us."""
-    owners = packages_distributions()
     tops = {name.split(".")[0] for path in paths for name in imports(path)}
     # Of several distributions that share a package, as mujoco and mujoco-mjx do, the one of its name counts.
-    found = {top: owners[top] for top in tops - sys.stdlib_module_names - {"cassie_mjx", "experiments"}}
+    found = {top: OWNERS[top] for top in tops - sys.stdlib_module_names - {"cassie_mjx", "experiments"}}
     return {canonicalize_name(top if top in names else names[0]) for top, names in found.items()}
 
 
@@ -87,10 +89,16 @@ def test_files_are_read_and_written_with_numpy_alone():
     assert distributions((PACKAGE / "files").glob("*.py")) == {"numpy"}
 
 
+def named(requirements):
+    return {canonicalize_name(Requirement(line).name) for line in requirements}
+
+
 def test_what_is_imported_is_declared_where_it_is_needed():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    declared = {canonicalize_name(Requirement(line).name) for line in project["dependencies"]}
-    assert distributions(PACKAGE.rglob("*.py")) <= declared
+    declared, extras = named(project["dependencies"]), project["optional-dependencies"]
+    views = {path: named(extras[extra]) for path, extra in VIEWS.items()}
+    for path in PACKAGE.rglob("*.py"):
+        assert distributions([path]) <= declared | views.get(path.relative_to(PACKAGE).as_posix(), set()), path
     assert declared - distributions(SOURCES) <= {"mujoco-mjx"}
 
 

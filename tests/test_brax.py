@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from brax import envs
 from brax.envs.wrappers import training as wrappers
 from brax.training.agents.ppo import train as ppo
 
@@ -33,6 +34,28 @@ def test_brax_wrappers_drive_it(motion):
         state = step(state, jnp.zeros((ROBOTS, 10)))
     assert state.done.all()
     np.testing.assert_array_equal(np.asarray(state.pipeline_state.motion.time)[:, 0], first[:, 0])
+
+
+def test_brax_knows_it_by_name():
+    env = envs.create("cassie_walk", episode_length=5, batch_size=ROBOTS, speed="2x", physics_hz=500)
+    state = jax.eval_shape(env.reset, jax.random.PRNGKey(0))
+    assert (state.obs.shape, env.action_size) == ((ROBOTS, 80), 10)
+    assert float(env.unwrapped._walk.motion.stride_length) == pytest.approx(2 * 0.5001, abs=1e-3)
+    assert env.unwrapped._walk.physics.model.opt.timestep == 0.002
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"speed": "any"}, "speed=any is not a speed; give a factor from 0x to 4x"),
+        ({"config": "rough"}, "config='rough' is not known; choose one of undisturbed, robust"),
+        ({"config": "robust"}, "is not for CassieEnv"),
+        ({"physics_hz": 700}, "physics_hz=700 does not divide"),
+    ],
+)
+def test_bad_input_by_name_is_one_sentence(given, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        envs.get_environment("cassie_walk", **given)
 
 
 @pytest.mark.slow

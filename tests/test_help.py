@@ -74,7 +74,7 @@ def test_help_has_defaults_choices_and_presets(monkeypatch, capsys):
 
 def test_help_names_a_key_that_must_be_given(monkeypatch, capsys):
     entries, _, _ = helped(monkeypatch, capsys, ROOT / "cassie_mjx" / "export.py")
-    assert entries["run=..."] == "Directory of a training run, or a policy's .npz file. It must be given."
+    assert entries["out=..."] == "File to write, .npz or .onnx. It must be given."
 
 
 def test_help_into_a_pipe_that_closes_is_no_error():

@@ -12,9 +12,10 @@ from acting import Swaying
 
 from cassie_mjx import cli, render
 from cassie_mjx.agents import make
-from cassie_mjx.evaluation import draw as drawing_module
+from cassie_mjx.evaluation.draw import draw_frames, write_video
 from cassie_mjx.evaluation.film import Shot
 from cassie_mjx.render import RenderConfig
+from cassie_mjx.robot import drawing as drawing_module
 
 WIDTH, HEIGHT = 192, 128
 FLOOR_PERIOD_M = 1.0
@@ -32,7 +33,7 @@ def drawing():
 def picture(qpos, camera="three-quarter", push=(0.0, 0.0, 0.0), terrain=0.0):
     shot = Shot(0.0, qpos, np.array(push), None)
     with drawing_module.open_renderer(drawing_module.load_scene(terrain), WIDTH, HEIGHT) as renderer:
-        return next(drawing_module.draw_frames(renderer, [shot], camera, terrain)).astype(int)
+        return next(draw_frames(renderer, [shot], camera, terrain)).astype(int)
 
 
 def differing(a, b):
@@ -103,7 +104,7 @@ def test_videos_have_their_frames_and_duration(tmp_path, suffix, fps):
     greys = np.linspace(0, 250, 12).astype(np.uint8)
     frames = [np.full((32, 48, 3), grey, np.uint8) for grey in greys]
     path = tmp_path / f"a.{suffix}"
-    drawing_module.write_video(path, frames, 48, 32, fps)
+    write_video(path, frames, 48, 32, fps)
     video = imageio.imread(path, index=None) if suffix == "gif" else imageio.imread(path, plugin="FFMPEG")
     assert video.shape == (12, 32, 48, 3)
     np.testing.assert_allclose(video.astype(int).mean(axis=(1, 2, 3)), greys, atol=6)
@@ -125,19 +126,19 @@ def test_a_failing_film_leaves_what_was_there(tmp_path):
 
     (tmp_path / "a.mp4").write_text("precious")
     with pytest.raises(ValueError, match="the film tore"):
-        drawing_module.write_video(tmp_path / "a.mp4", frames(), 48, 32, 25.0)
+        write_video(tmp_path / "a.mp4", frames(), 48, 32, 25.0)
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.mp4", "precious")]
 
 
 def test_a_film_goes_where_its_link_leads_in_the_format_of_its_name(tmp_path):
     (tmp_path / "store").mkdir()
     (tmp_path / "a.gif").symlink_to("store/b")
-    drawing_module.write_video(tmp_path / "a.gif", 3 * [np.zeros((32, 48, 3), np.uint8)], 48, 32, 25.0)
+    write_video(tmp_path / "a.gif", 3 * [np.zeros((32, 48, 3), np.uint8)], 48, 32, 25.0)
     assert (tmp_path / "a.gif").is_symlink()
     assert (tmp_path / "store" / "b").read_bytes().startswith(b"GIF8")
     os.mkfifo(tmp_path / "b.gif")
     with pytest.raises(ValueError, match=r"b\.gif is not a regular file"):
-        drawing_module.write_video(tmp_path / "b.gif", [], 48, 32, 25.0)
+        write_video(tmp_path / "b.gif", [], 48, 32, 25.0)
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["a.gif", "b", "b.gif", "store"]
 
 
@@ -145,7 +146,7 @@ def test_an_encoder_that_fails_is_noticed(tmp_path, monkeypatch):
     (tmp_path / "a.gif").write_text("precious")
     monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: "false")
     with pytest.raises(OSError, match=r"a\.gif could not be written \(ffmpeg failed with status 1\); nothing"):
-        drawing_module.write_video(tmp_path / "a.gif", 100 * [np.zeros((32, 48, 3), np.uint8)], 48, 32, 25.0)
+        write_video(tmp_path / "a.gif", 100 * [np.zeros((32, 48, 3), np.uint8)], 48, 32, 25.0)
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.gif", "precious")]
 
 

@@ -28,14 +28,23 @@ def policy_path(name: str) -> Path | None:
     return shipped or local
 
 
+def find_policy(name: str) -> Path:
+    """The file of the policy that we ship as `name`, of the file `name`, or of the best one of the run there.
+
+    Raises:
+      ValueError: there is none, or two.
+    """
+    path = policy_path(name)
+    if path is None:
+        known = ", ".join(shipped_policies())
+        raise ValueError(f"policy={name} is none of {known}, nor a policy's .npz file, nor a run's directory.")
+    return path
+
+
 def load_policy(name: str | Path) -> NumpyPolicy:
     """The policy that we ship as `name`, of the file `name`, or the best one of the run in that directory.
 
     Raises:
       ValueError: there is none, or two, or its file is damaged.
     """
-    path = policy_path(str(name))
-    if path is None:
-        known = ", ".join(shipped_policies())
-        raise ValueError(f"policy={name} is none of {known}, nor a policy's .npz file, nor a run's directory.")
-    return NumpyPolicy.load(path)
+    return NumpyPolicy.load(find_policy(str(name)))

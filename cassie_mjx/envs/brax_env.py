@@ -1,19 +1,25 @@
-"""Brax's view of the walking task: one robot, for Brax's wrappers and any Brax-style trainer to batch."""
+"""Brax's view of the walking task: one robot, for Brax's wrappers and any Brax-style trainer to batch.
+
+Importing this module registers it: `brax.envs.get_environment("cassie_walk", speed="2x")`.
+"""
 
 from dataclasses import dataclass, fields, replace
-from typing import cast
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import mujoco
-from brax import base
+from brax import base, envs
 from brax.envs.base import PipelineEnv, State
 from brax.io import mjcf
 
 from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.envs.make import find_config
 from cassie_mjx.envs.types import WalkState
 from cassie_mjx.envs.walk import WalkEnv
-from cassie_mjx.motion.reference import ReferenceMotion
+from cassie_mjx.motion.command import speed_factor
+from cassie_mjx.motion.files import load_motion
+from cassie_mjx.motion.reference import ReferenceMotion, stretch
 from cassie_mjx.physics.make import make_physics
 from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, steps_per_control, xml_path
 
@@ -108,3 +114,19 @@ class CassieEnv(PipelineEnv):
             done=walk.terminated[0].astype(jnp.float32),
             metrics={name: values[0] for name, values in walk.metrics.items()},
         )
+
+
+def cassie_walk(
+    speed: str = "1x", config: WalkConfig | str = "undisturbed", physics_hz: int = 1000, motion: str = "walk"
+) -> CassieEnv:
+    """A `CassieEnv` by the arguments of `make_env`.
+
+    Raises:
+      ValueError: one of these is not known or out of its range, or the task draws scenarios.
+    """
+    walked = stretch(load_motion(motion), speed_factor(speed))
+    return CassieEnv(walked, find_config(config), replace(MJX_TRAINING, physics_hz=physics_hz))
+
+
+# Brax calls what it has under a name, a class or not.
+envs.register_environment("cassie_walk", cast(Any, cassie_walk))

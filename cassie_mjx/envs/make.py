@@ -31,13 +31,19 @@ def make_env(
     Raises:
       ValueError: one of these is not known or out of its range.
     """
-    if isinstance(config, str):
-        if config not in WALK_PRESETS:
-            raise ValueError(f"config={config!r} is not known; choose one of {', '.join(WALK_PRESETS)}.")
-        config = WALK_PRESETS[config]
+    config = find_config(config)
     factor, speeds = speed_factors(speed)
     check_engine(physics)
     scene = "terrain" if config.scenario.terrain_m else "flat"
     model = replace(ENGINES[physics].training, physics_hz=physics_hz, scene=scene)
     engine = make_physics(physics, model, config.scenario.delay_steps(physics_hz))
     return WalkEnv(engine, stretch(load_motion(motion), factor), config, robots, speeds)
+
+
+def find_config(config: WalkConfig | str) -> WalkConfig:
+    """The task itself, or the preset of that name. Raises ValueError if there is none."""
+    if isinstance(config, WalkConfig):
+        return config
+    if config not in WALK_PRESETS:
+        raise ValueError(f"config={config!r} is not known; choose one of {', '.join(WALK_PRESETS)}.")
+    return WALK_PRESETS[config]

@@ -1,14 +1,10 @@
 """A walk as a video: `python -m cassie_mjx.render policy=1x out=walk.mp4`.
 
-What is filmed is a trial as `cassie_mjx.evaluate` measures it: MuJoCo C at 2 kHz, from steady walking. No screen is
-needed: EGL draws, or OSMesa where EGL does not work.
+What is filmed is a trial as `cassie_mjx.evaluate` measures it: MuJoCo C at 2 kHz, from steady walking.
 """
 
-import functools
-import importlib
 import os
 import subprocess
-import sys
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -16,18 +12,13 @@ from pathlib import Path
 import imageio_ffmpeg
 import mujoco
 import numpy as np
-from mujoco.rendering.classic import gl_context
 
 from cassie_mjx import cli
 from cassie_mjx.evaluation.film import Shot
 from cassie_mjx.files.atomic import replacing
 from cassie_mjx.robot import cassie
-from cassie_mjx.robot.ground import set_terrain
-from cassie_mjx.robot.model import xml_path
+from cassie_mjx.robot.drawing import place
 
-CAMERAS = ("three-quarter", "side", "front")
-# A camera follows a falling robot down, but not into the ground.
-LOWEST_CAMERA_M = 0.25
 # A push of 100 N is an arrow of 0.3 m; its head ends at the pelvis' skin, not at the centre of mass.
 ARROW_M_PER_N, ARROW_RADIUS_M, ARROW_GAP_M = 0.003, 0.02, 0.14
 ARROW_RGBA = np.array([0.85, 0.1, 0.1, 1.0], np.float32)
@@ -43,50 +34,6 @@ FILM = cli.marked("a film of ours", _MARK)
 # Browsers slow a GIF down whose frames last less than 0.02 s.
 FASTEST_GIF = 50
 
-BACKENDS = ("egl", "osmesa")
-_PROBE = "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 8, 8).render()"
-
-
-def load_scene(terrain: float = 0.0) -> mujoco.MjModel:
-    """A scene with all that is for the eyes, on the terrain z = h sin x, m; its physics is that of `ModelConfig()`."""
-    scene = mujoco.MjModel.from_xml_path(str(xml_path("terrain" if terrain else "flat")))
-    if terrain:
-        set_terrain(scene, terrain)
-    return scene
-
-
-@functools.cache
-def choose_backend() -> None:
-    """Have MuJoCo draw without a screen: as MUJOCO_GL says or, on Linux, by EGL or OSMesa, whichever works first.
-
-    Raises:
-      ValueError: it cannot draw.
-    """
-    chosen = os.environ.get("MUJOCO_GL")
-    if not chosen and sys.platform != "linux":
-        return
-    for backend in (chosen,) if chosen else BACKENDS:
-        environment = {**os.environ, "MUJOCO_GL": backend}
-        # In a process of its own: PyOpenGL keeps the first backend that it meets, even one that fails.
-        probe = subprocess.run([sys.executable, "-c", _PROBE], env=environment, capture_output=True, check=False)
-        if probe.returncode == 0:
-            os.environ["MUJOCO_GL"] = backend
-            importlib.reload(gl_context)
-            return
-    if chosen:
-        raise ValueError(f"MUJOCO_GL={chosen} does not work here; unset it, and EGL and OSMesa are tried.")
-    raise ValueError(
-        "Drawing needs EGL or OSMesa, and neither works here; install libegl1 and libgl1-mesa-dri, or libosmesa6 "
-        "(so named in Debian and Ubuntu)."
-    )
-
-
-def open_renderer(scene: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer:
-    """A renderer of frames [height, width, 3], uint8, that needs no screen. Raises ValueError where none can draw."""
-    choose_backend()
-    scene.vis.global_.offwidth, scene.vis.global_.offheight = width, height
-    return mujoco.Renderer(scene, height, width)
-
 
 def draw_frames(
     renderer: mujoco.Renderer, shots: Iterable[Shot], camera: str, terrain: float = 0.0
@@ -101,11 +48,7 @@ def draw_frames(
     """
     data = mujoco.MjData(renderer.model)
     for shot in shots:
-        data.qpos[:] = shot.qpos
-        mujoco.mj_forward(renderer.model, data)
-        lowest = terrain * np.sin(data.cam_xpos[:, 0]) + LOWEST_CAMERA_M
-        data.cam_xpos[:, 2] = np.maximum(data.cam_xpos[:, 2], lowest)
-        renderer.update_scene(data, camera)
+        place(renderer, data, shot.qpos, camera, terrain)
         if shot.push_w.any():
             _add_arrow(renderer.scene, data.xipos[cassie.PELVIS_BODY], shot.push_w)
         yield renderer.render()

@@ -16,13 +16,13 @@ import numpy as np
 
 from cassie_mjx.agents.types import Agent
 from cassie_mjx.envs.termination import has_fallen, height_over_ground
-from cassie_mjx.evaluation.draw import load_scene
 from cassie_mjx.evaluation.film import AFTER_FALL_S, begin
 from cassie_mjx.evaluation.simulate import simulate
 from cassie_mjx.evaluation.trial import Trial
 from cassie_mjx.physics.types import BodyState, Physics, PhysicsState, Scenario
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
+from cassie_mjx.robot.drawing import load_scene
 from cassie_mjx.robot.model import servo_model
 
 # The viewer takes over state and mouse force so often.

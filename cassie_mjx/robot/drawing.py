@@ -1,0 +1,79 @@
+"""Drawing the robot without a screen: by EGL, or by OSMesa where EGL does not work."""
+
+import functools
+import importlib
+import os
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+from mujoco.rendering.classic import gl_context
+
+from cassie_mjx.robot.ground import set_terrain
+from cassie_mjx.robot.model import xml_path
+
+CAMERAS = ("three-quarter", "side", "front")
+# A camera follows a falling robot down, but not into the ground.
+LOWEST_CAMERA_M = 0.25
+
+BACKENDS = ("egl", "osmesa")
+_PROBE = "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 8, 8).render()"
+
+
+def load_scene(terrain: float = 0.0) -> mujoco.MjModel:
+    """A scene with all that is for the eyes, on the terrain z = h sin x, m; its physics is that of `ModelConfig()`."""
+    scene = mujoco.MjModel.from_xml_path(str(xml_path("terrain" if terrain else "flat")))
+    if terrain:
+        set_terrain(scene, terrain)
+    return scene
+
+
+@functools.cache
+def choose_backend() -> None:
+    """Have MuJoCo draw without a screen: as MUJOCO_GL says or, on Linux, by EGL or OSMesa, whichever works first.
+
+    Raises:
+      ValueError: it cannot draw.
+    """
+    chosen = os.environ.get("MUJOCO_GL")
+    if not chosen and sys.platform != "linux":
+        return
+    for backend in (chosen,) if chosen else BACKENDS:
+        environment = {**os.environ, "MUJOCO_GL": backend}
+        # In a process of its own: PyOpenGL keeps the first backend that it meets, even one that fails.
+        probe = subprocess.run([sys.executable, "-c", _PROBE], env=environment, capture_output=True, check=False)
+        if probe.returncode == 0:
+            os.environ["MUJOCO_GL"] = backend
+            importlib.reload(gl_context)
+            return
+    if chosen:
+        raise ValueError(f"MUJOCO_GL={chosen} does not work here; unset it, and EGL and OSMesa are tried.")
+    raise ValueError(
+        "Drawing needs EGL or OSMesa, and neither works here; install libegl1 and libgl1-mesa-dri, or libosmesa6 "
+        "(so named in Debian and Ubuntu)."
+    )
+
+
+def open_renderer(scene: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer:
+    """A renderer of frames [height, width, 3], uint8, that needs no screen. Raises ValueError where none can draw."""
+    choose_backend()
+    scene.vis.global_.offwidth, scene.vis.global_.offheight = width, height
+    return mujoco.Renderer(scene, height, width)
+
+
+def place(renderer: mujoco.Renderer, data: mujoco.MjData, qpos: np.ndarray, camera: str, terrain: float = 0.0) -> None:
+    """Put the robot into the scene, for `renderer.render()` to draw.
+
+    Args:
+      renderer: of the scene of that terrain.
+      data: of the same scene.
+      qpos: the robot's, [35].
+      camera: one of `CAMERAS`.
+      terrain: height h of the terrain z = h sin x, m.
+    """
+    data.qpos[:] = qpos
+    mujoco.mj_forward(renderer.model, data)
+    lowest = terrain * np.sin(data.cam_xpos[:, 0]) + LOWEST_CAMERA_M
+    data.cam_xpos[:, 2] = np.maximum(data.cam_xpos[:, 2], lowest)
+    renderer.update_scene(data, camera)
