@@ -8,6 +8,10 @@ import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from cassie_mjx import starting
+
+starting.begin("cassie_mjx")
+
 # XLA on CPU calls every program that it loads from the compilation cache a possible mismatch, in pages of CPU features
 # (it compares with features that it added itself), so only what is fatal is shown; errors still raise.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")

@@ -34,10 +34,6 @@ class EvaluateConfig(AgentConfig):
     out: str = "evaluation.json"
     """Result file."""
 
-    def __post_init__(self) -> None:
-        """Raise ValueError for a schedule, suite or engine that is not known."""
-        cli.check_choices(self)
-
 
 def main(config: EvaluateConfig) -> None:
     """Measure, show each suite's figures as it ends, and write the result."""

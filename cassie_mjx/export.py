@@ -7,10 +7,11 @@ from typing import ClassVar
 
 from cassie_mjx import cli
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
+from cassie_mjx.configuration.values import Checked
 
 
 @dataclass(frozen=True)
-class ExportConfig:
+class ExportConfig(Checked):
     """What to export."""
 
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"which": ("best", "last")}
@@ -21,10 +22,6 @@ class ExportConfig:
     """File to write, .npz."""
     which: str = "best"
     """"best": of the highest return by the reward it learned from, under disturbances the last; "last": the last."""
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a choice that is not known."""
-        cli.check_choices(self)
 
 
 def main(config: ExportConfig) -> None:

@@ -9,11 +9,12 @@ from pathlib import Path
 from rich.console import Console
 
 from cassie_mjx import cli
+from cassie_mjx.configuration.values import Checked
 from cassie_mjx.reporting.folder import evaluations, folder_page
 
 
 @dataclass(frozen=True)
-class ReportConfig:
+class ReportConfig(Checked):
     """Where from, and where to."""
 
     results: str = "."

@@ -6,7 +6,7 @@ loops after 1 and 10 control steps of 32 ms with the settings that MJX trains on
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ from mujoco import mjx
 from rich.console import Console
 
 from cassie_mjx import cli
+from cassie_mjx.configuration.values import Checked, Range, Seed
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Scenario
@@ -27,16 +28,16 @@ CONVERGED = replace(MJX_TRAINING, iterations=50, ls_iterations=50)
 
 
 @dataclass(frozen=True)
-class AgreementConfig:
+class AgreementConfig(Checked):
     """What to compare."""
 
     out: str = "agreement.json"
     """Result file."""
-    speeds: tuple[float, ...] = (0.0, 0.3, 1.0, 3.0)
+    speeds: tuple[Annotated[float, Range(0, 100)], ...] = (0.0, 0.3, 1.0, 3.0)
     """Standard deviation of the random joint velocities, rad/s (and m/s for the pelvis); 3 is the swing of a walk."""
-    robots: int = 16
+    robots: Annotated[int, Range(1, 10_000)] = 16
     """States for each speed."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the velocities and targets."""
 
 

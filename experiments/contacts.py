@@ -7,6 +7,7 @@ says whether the pair is needed.
 
 from dataclasses import dataclass
 from itertools import islice
+from typing import Annotated
 
 import mujoco
 import numpy as np
@@ -14,6 +15,7 @@ from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents.heuristic import HeuristicAgent
+from cassie_mjx.configuration.values import Checked, Range
 from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.envs.termination import fallen
 from cassie_mjx.evaluation.steady import steady, walk_on
@@ -28,14 +30,14 @@ FAR_M = 0.5
 
 
 @dataclass(frozen=True)
-class ContactsConfig:
+class ContactsConfig(Checked):
     """What to walk through."""
 
     out: str = "contacts.json"
     """Result file."""
-    push_n: float = 60.0
+    push_n: Annotated[float, Range(0, 1000)] = 60.0
     """Force of the 0.2 s pushes, N."""
-    seconds: float = 4.0
+    seconds: Annotated[float, Range(0.1, 600)] = 4.0
     """Walking after the push begins, s."""
 
 

@@ -10,7 +10,7 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import mujoco
@@ -19,6 +19,7 @@ import numpy as np
 from rich.console import Console
 
 from cassie_mjx import cli
+from cassie_mjx.configuration.values import Checked, Range, Seed
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Physics, PhysicsState, Scenario
@@ -35,20 +36,20 @@ from cassie_mjx.robot.model import (
 
 
 @dataclass(frozen=True)
-class ThroughputConfig:
+class ThroughputConfig(Checked):
     """What to time."""
 
     out: str = "throughput.json"
     """Result file."""
-    native_robots: tuple[int, ...] = (1, 16, 64, 256)
+    native_robots: tuple[Annotated[int, Range(1, 100_000)], ...] = (1, 16, 64, 256)
     """Batch sizes for MuJoCo C."""
-    mjx_robots: tuple[int, ...] = (64, 256)
+    mjx_robots: tuple[Annotated[int, Range(1, 100_000)], ...] = (64, 256)
     """Batch sizes for MJX."""
-    control_steps: int = 8
+    control_steps: Annotated[int, Range(1, 10_000)] = 8
     """Control steps of 32 ms in each timed stretch."""
-    turns: int = 5
+    turns: Annotated[int, Range(1, 1000)] = 5
     """Timed stretches; the median counts."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the gait phases."""
 
 

@@ -2,16 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
 
 import jax
 
-from cassie_mjx.cli import check_choices
+from cassie_mjx.configuration.values import Checked, Range, Seed, label
 from cassie_mjx.envs.config import WALK_PRESETS, WalkConfig
 from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.ppo import learner
 from cassie_mjx.ppo.config import PPO_PRESETS, PPOConfig
-from cassie_mjx.robot.model import CONTACTS, steps_per_control
+from cassie_mjx.robot.model import CONTACTS, PhysicsHz, steps_per_control
 
 # Rates that training is stable and fast at, Hz; every return is measured at 2 kHz.
 TRAINING_HZ = {"native": 500, "mjx": 1000}
@@ -40,7 +41,7 @@ def present_names(config: dict[str, Any]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class TrainConfig:
+class TrainConfig(Checked):
     """A training run."""
 
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"physics": ("auto", *TRAINING_HZ), "contacts": CONTACTS}
@@ -49,12 +50,12 @@ class TrainConfig:
     """Factor on the pelvis x of the reference motion, from "0x" to "4x"; "any" commands one after another."""
     physics: str = "auto"
     """"native": MuJoCo C on CPU threads; "mjx"; "auto": MJX if there is an accelerator."""
-    physics_hz: int | None = None
+    physics_hz: PhysicsHz | None = None
     """Physics steps a second in training; null for 500 on MuJoCo C and 1000 on MJX."""
     contacts: str = "full"
     """What can touch in training: "walking", the feet and the floor alone; "full", legs, shanks and pelvis too, as in
     every evaluation; "published", the thighs too."""
-    seed: int = 0
+    seed: Seed = 0
     """What all random numbers of the run come from."""
     reference: str = "walk"
     """Reference motion: a name that we ship, or a file."""
@@ -65,7 +66,7 @@ class TrainConfig:
     """The task."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """The learner: a preset (ppo=paper) and single values (ppo.gamma=0.98)."""
-    evaluate_every: int = 10
+    evaluate_every: Annotated[int, Range(1, 1_000_000)] = 10
     """Iterations between measurements of the return; each is followed by a checkpoint."""
     run_dir: str | None = None
     """Directory of the run; null for runs/<speed>-seed<seed>."""
@@ -76,14 +77,25 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         """Raise ValueError for a value out of range."""
+        super().__post_init__()
         speed_factors(self.speed)
-        check_choices(self)
+        for name in ("init", "run_dir"):
+            if getattr(self, name) == "":
+                raise ValueError(f"{name} is empty; name one, or null.")
         if self.physics_hz is not None:
             steps_per_control(self.physics_hz)
-        if self.evaluate_every < 1:
-            raise ValueError(f"evaluate_every={self.evaluate_every} must be at least 1.")
-        if not 0 <= self.seed < 2**32:
-            raise ValueError(f"seed={self.seed} must be from 0 to 2^32 - 1.")
+
+    @property
+    def folder(self) -> Path:
+        """Directory of the run."""
+        return Path(f"runs/{self.speed}-seed{self.seed}" if self.run_dir is None else self.run_dir)
+
+    def apart(self, swept: Mapping[str, str]) -> "TrainConfig":
+        """One combination of a sweep, with a directory of its own: its name has what `run_dir` would not tell."""
+        told = ("run_dir",) if self.run_dir else ("speed", "seed")
+        if name := label({key: value for key, value in swept.items() if key not in told}):
+            return replace(self, run_dir=f"{self.folder}-{name}")
+        return self
 
 
 def resolve_config(config: TrainConfig) -> TrainConfig:
@@ -102,5 +114,5 @@ def resolve_config(config: TrainConfig) -> TrainConfig:
         config,
         physics=physics,
         physics_hz=config.physics_hz or TRAINING_HZ[physics],
-        run_dir=config.run_dir or f"runs/{config.speed}-seed{config.seed}",
+        run_dir=str(config.folder),
     )
