@@ -3,8 +3,6 @@
 import os
 import signal
 import sys
-from pathlib import Path
-from types import FrameType
 
 INTERRUPTED = 128 + signal.SIGINT
 """Status of a command that Ctrl-C ended."""
@@ -19,7 +17,7 @@ def begin(package: str) -> None:
     # Until the package is there, the first argument is not yet the module's path.
     modules = [argument.removeprefix("-m") for argument in sys.orig_argv[1:]] if sys.argv[:1] == ["-m"] else []
     named = any(module.startswith(f"{package}.") for module in modules)
-    if not named and Path(sys.argv[0]).stem != "cassie-mjx":
+    if not named and os.path.basename(sys.argv[0]) not in ("cassie-mjx", "cassie-mjx.exe"):
         return
     # One that is ignored, as in a shell's background, stays so.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
@@ -28,7 +26,7 @@ def begin(package: str) -> None:
         _mujoco_gl.append(chosen)
 
 
-def end_at_once(*_: int | FrameType | None) -> None:
+def end_at_once(*_: object) -> None:
     """End by Ctrl-C with one word: in the midst of imports, an exception would be a traceback or be lost."""
     os.write(2, b"Interrupted.\n")
     os._exit(INTERRUPTED)

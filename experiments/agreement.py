@@ -40,6 +40,12 @@ class AgreementConfig(Checked):
     seed: Seed = 0
     """Seed of the velocities and targets."""
 
+    def __post_init__(self) -> None:
+        """Raise ValueError if there is nothing to compare."""
+        super().__post_init__()
+        if not self.speeds:
+            raise ValueError("speeds is empty; name at least one, such as speeds=1.")
+
 
 def loop_consistent(model: mujoco.MjModel, qpos: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     """The part of a velocity [32] that keeps the closed loops closed."""

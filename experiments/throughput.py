@@ -42,9 +42,9 @@ class ThroughputConfig(Checked):
     out: str = "throughput.json"
     """Result file."""
     native_robots: tuple[Annotated[int, Range(1, 100_000)], ...] = (1, 16, 64, 256)
-    """Batch sizes for MuJoCo C."""
+    """Batch sizes for MuJoCo C; none if empty."""
     mjx_robots: tuple[Annotated[int, Range(1, 100_000)], ...] = (64, 256)
-    """Batch sizes for MJX."""
+    """Batch sizes for MJX; none if empty."""
     control_steps: Annotated[int, Range(1, 10_000)] = 8
     """Control steps of 32 ms in each timed stretch."""
     turns: Annotated[int, Range(1, 1000)] = 5
@@ -156,10 +156,10 @@ def main(config: ThroughputConfig) -> None:
         for model in (ModelConfig(), ModelConfig(physics_hz=1000), ModelConfig(physics_hz=500)):
             rows.append(time_native(config, model, robots, threads))
             console.print(rows[-1])
-    largest = max(config.mjx_robots)
+    largest = max(config.mjx_robots, default=0)
     published = ModelConfig(physics_hz=1000, contacts="published", iterations=4, ls_iterations=6)
     cases = [(MJX_TRAINING, robots) for robots in config.mjx_robots]
-    cases += [(replace(MJX_TRAINING, contacts="full"), largest), (published, largest)]
+    cases += [(replace(MJX_TRAINING, contacts="full"), largest), (published, largest)] if largest else []
     for model, robots in cases:
         rows.append(time_mjx(config, model, robots))
         console.print(rows[-1])

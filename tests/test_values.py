@@ -71,7 +71,8 @@ def test_a_value_out_of_range_is_refused_in_a_sentence(changes, sentence):
 
 
 def test_values_in_range_are_taken():
-    assert Example(share=np.float32(0.25), count=np.int64(5), sizes=[1, 9], force=(5, -5)).count == 5
+    values = {"share": np.float32(0.25), "count": np.int64(5), "sizes": [1, 9], "force": (5, -5)}
+    assert vars(Example(**values)) == values | {"out": "a.b/c.json"}
 
 
 @pytest.mark.parametrize(
@@ -92,6 +93,11 @@ def test_what_can_only_crash_or_hang_is_refused_by_its_name(config_class, argume
     name = argument.partition("=")[0]
     with pytest.raises(ValueError, match=rf"^{name}=[^ ]+ (each )?must be .*from [-\d.,]+ to [\d.,]+(, or null)?\.$"):
         cli.parse(config_class, [argument], {key: cli.Group(*presets) for key, presets in PRESETS.items()})
+
+
+def test_a_comparison_needs_a_speed():
+    with pytest.raises(ValueError, match="^speeds is empty; name at least one, such as speeds=1.$"):
+        cli.parse(AgreementConfig, ["speeds="])
 
 
 def test_each_combination_has_result_files_of_its_own():

@@ -11,9 +11,11 @@ from cassie_mjx.cli.keys import Group, Key, flatten, keys_of
 from cassie_mjx.configuration.values import shown
 
 WIDEST = 120
-SWEEPS = """-m runs all combinations of values one after another: -m seed=0,1,2; a tuple is key=[1,2] then. A launcher
-of Hydra's takes them to a cluster: -m hydra/launcher=NAME hydra.launcher.OPTION=VALUE, whose options are listed by
-hydra/launcher=NAME --cfg hydra -p hydra.launcher."""
+SWEEPS = """-m runs all combinations of values one after another: -m seed=0,1,2; a tuple is key=[1,2] then, and a text
+with a comma in it is 'a,b', in quotes that the shell keeps. Each combination has result files or a run directory of its
+own, named after its values; one that fails does not stop the others. A launcher of Hydra's takes them to a cluster:
+-m hydra/launcher=NAME hydra.launcher.OPTION=VALUE, whose options are listed by hydra/launcher=NAME --cfg hydra -p
+hydra.launcher."""
 
 
 def explain(doc: str, config_class: type, groups: Mapping[str, Group]) -> str:

@@ -13,6 +13,7 @@ from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.ppo import learner
 from cassie_mjx.ppo.config import PPO_PRESETS, PPOConfig
 from cassie_mjx.robot.model import CONTACTS, PhysicsHz, steps_per_control
+from cassie_mjx.training.memory import check_memory
 
 # Rates that training is stable and fast at, Hz; every return is measured at 2 kHz.
 TRAINING_HZ = {"native": 500, "mjx": 1000}
@@ -102,7 +103,8 @@ def resolve_config(config: TrainConfig) -> TrainConfig:
     """The configuration with nothing left to choose: engine, rate and directory.
 
     Raises:
-      ValueError: the engine cannot use several processes, or the sizes do not divide among the devices.
+      ValueError: the engine cannot use several processes, the sizes do not divide among the devices, or the memory is
+        not enough.
     """
     accelerated = config.physics == "auto" and jax.default_backend() != "cpu"
     physics = ("mjx" if accelerated else "native") if config.physics == "auto" else config.physics
@@ -110,9 +112,6 @@ def resolve_config(config: TrainConfig) -> TrainConfig:
         learner.check_devices(config.ppo, jax.device_count())
     elif jax.process_count() > 1:
         raise ValueError("physics=native runs in one process; choose physics=mjx to train with several.")
-    return replace(
-        config,
-        physics=physics,
-        physics_hz=config.physics_hz or TRAINING_HZ[physics],
-        run_dir=str(config.folder),
-    )
+    physics_hz = config.physics_hz or TRAINING_HZ[physics]
+    check_memory(config.ppo, config.walk, physics, physics_hz)
+    return replace(config, physics=physics, physics_hz=physics_hz, run_dir=str(config.folder))
