@@ -4,9 +4,14 @@ What stands here is the public interface; everything is imported when it is firs
 need NumPy alone.
 """
 
-import os
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from cassie_mjx import starting
+
+# Before the other imports, for Ctrl-C may come in them.
+starting.begin("cassie_mjx")
+
+import os  # noqa: E402
+from importlib import import_module  # noqa: E402
+from typing import TYPE_CHECKING, Any  # noqa: E402
 
 # XLA on CPU calls every program that it loads from the compilation cache a possible mismatch, in pages of CPU features
 # (it compares with features that it added itself), so only what is fatal is shown; errors still raise.

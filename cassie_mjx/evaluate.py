@@ -35,10 +35,6 @@ class EvaluateConfig(AgentConfig):
     overwrite: bool = False
     """Whether to replace a file that is no evaluation."""
 
-    def __post_init__(self) -> None:
-        """Raise ValueError for a schedule, suite or engine that is not known."""
-        cli.check_choices(self)
-
 
 def main(config: EvaluateConfig) -> None:
     """Measure, show each suite's figures as it ends, and write the result."""

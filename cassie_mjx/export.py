@@ -12,6 +12,7 @@ from cassie_mjx import cli
 from cassie_mjx.agents.numpy_policy import FORMAT, NumpyPolicy
 from cassie_mjx.agents.onnx_file import PRODUCER, save_onnx
 from cassie_mjx.agents.shipped import find_policy
+from cassie_mjx.configuration.values import Checked
 from cassie_mjx.files import archive
 
 POLICY = cli.Kind("a policy of ours outside a run", lambda path: archive.is_kind(path, FORMAT) and not _in_a_run(path))
@@ -20,7 +21,7 @@ KINDS = {".npz": POLICY, ".onnx": ONNX}
 
 
 @dataclass(frozen=True)
-class ExportConfig:
+class ExportConfig(Checked):
     """What to export."""
 
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"which": ("best", "last")}
@@ -38,7 +39,7 @@ class ExportConfig:
 
     def __post_init__(self) -> None:
         """Raise ValueError for a choice that is not known, and for what does not go together."""
-        cli.check_choices(self)
+        super().__post_init__()
         if (self.run is None) == (self.policy is None):
             raise ValueError("Either run or policy must be given, as in run=runs/1x-seed0 or policy=1x.")
         if self.policy is not None and self.which != "best":

@@ -1,16 +1,15 @@
 """A walk as a video: `python -m cassie_mjx.render policy=1x out=walk.mp4`."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
-import numpy as np
 from rich.progress import track
 
 from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
+from cassie_mjx.configuration.values import Range
 from cassie_mjx.evaluation.draw import ENCODINGS, FASTEST_GIF, FILM, draw_frames, write_video
 from cassie_mjx.evaluation.film import film
 from cassie_mjx.evaluation.trial import Trial
@@ -28,42 +27,37 @@ class RenderConfig(AgentConfig):
     """Video file, .mp4 or .gif."""
     overwrite: bool = False
     """Whether to replace a file that is no film of ours."""
-    seconds: float = 10.0
+    seconds: Annotated[float, Range(0.01, 3600)] = 10.0
     """Duration, s; a film ends a second after a fall."""
-    phase: float = 0.0
-    """Phase of the stride, 0 to 1, at which the film begins."""
-    push: tuple[float, float] = (0.0, 0.0)
+    phase: Annotated[float, Range(0, 1)] = 0.0
+    """Phase of the stride at which the film begins."""
+    push: tuple[Annotated[float, Range(-1000, 1000)], Annotated[float, Range(-1000, 1000)]] = (0.0, 0.0)
     """Force at the pelvis for 0.2 s, forward and left, N."""
-    push_at: float = 2.0
-    """Time of the push since the start, s; it begins with the next act."""
-    terrain: float = 0.0
+    push_at: Annotated[float, Range(0, 3600)] = 2.0
+    """Time of the push since the start, s, before the end; it begins with the next act."""
+    terrain: Annotated[float, Range(0, 1)] = 0.0
     """Height h of the terrain z = h sin x, m; above 0 the robot starts on a crest."""
-    delay: float = 0.0
+    delay: Annotated[float, Range(0, 1000)] = 0.0
     """Age of the state that policy and PD loop see, ms, in whole physics steps of 0.5 ms."""
     camera: str = "three-quarter"
     """"three-quarter", "side" or "front"; each follows the robot."""
-    width: int = 960
-    """Pixels."""
-    height: int = 720
-    """Pixels."""
-    fps: float = 30.0
+    width: Annotated[int, Range(16, 4096)] = 960
+    """Pixels, an even number."""
+    height: Annotated[int, Range(16, 4096)] = 720
+    """Pixels, an even number."""
+    fps: Annotated[float, Range(1, 1000)] = 30.0
     """Frames a second, in real time."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for a film that cannot be made."""
-        cli.check_choices(self)
+        super().__post_init__()
         suffix, step_ms = Path(self.out).suffix, 1000 / ModelConfig().physics_hz
         for name, valid, hint in (
             ("out", suffix in ENCODINGS, f"name a file that ends in {' or '.join(ENCODINGS)}"),
-            ("seconds", 0 < self.seconds < math.inf, "use a duration above 0 s"),
-            ("phase", 0 <= self.phase <= 1, "use a share of the stride from 0 to 1"),
-            ("push", len(self.push) == 2 and np.isfinite(self.push).all(), "name two forces in N, such as push=0,50"),
-            ("push_at", 0 <= self.push_at < math.inf, "use a time of at least 0 s"),
-            ("terrain", 0 <= self.terrain < math.inf, "use a height of at least 0 m"),
-            ("delay", self.delay >= 0 and self.delay % step_ms == 0, f"use a multiple of {step_ms:g} ms"),
-            ("width", 16 <= self.width <= 4096 and self.width % 2 == 0, "use an even number from 16 to 4096"),
-            ("height", 16 <= self.height <= 4096 and self.height % 2 == 0, "use an even number from 16 to 4096"),
-            ("fps", 1 <= self.fps <= 1000, "use 1 to 1000"),
+            ("push_at", not any(self.push) or self.push_at < self.seconds, f"the film ends at {self.seconds:g} s"),
+            ("delay", self.delay % step_ms == 0, f"use a multiple of {step_ms:g} ms"),
+            ("width", self.width % 2 == 0, "use an even number"),
+            ("height", self.height % 2 == 0, "use an even number"),
             ("fps", suffix != ".gif" or self.fps <= FASTEST_GIF, f"a GIF has at most {FASTEST_GIF}"),
         ):
             if not valid:

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cassie_mjx import cli
+from cassie_mjx.configuration.values import Checked
 from cassie_mjx.reporting import page
 from cassie_mjx.reporting.folder import evaluations, folder_page
 
 
 @dataclass(frozen=True)
-class ReportConfig:
+class ReportConfig(Checked):
     """Where from, and where to."""
 
     results: str = "."

@@ -3,13 +3,14 @@
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Annotated
 
 import mujoco
 import mujoco.viewer
-import numpy as np
 
 from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
+from cassie_mjx.configuration.values import Range
 from cassie_mjx.evaluation.viewer import Live, check_screen, keep_showing
 from cassie_mjx.robot import cassie
 
@@ -18,13 +19,8 @@ from cassie_mjx.robot import cassie
 class ViewConfig(AgentConfig):
     """What to watch."""
 
-    terrain: float = 0.0
+    terrain: Annotated[float, Range(0, 1)] = 0.0
     """Height h of the terrain z = h sin x, m; above 0 the robot starts on a crest."""
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a terrain that cannot be."""
-        if not 0 <= self.terrain < np.inf:
-            raise ValueError(f"terrain={self.terrain} is no height; use at least 0 m.")
 
 
 def main(config: ViewConfig) -> None:

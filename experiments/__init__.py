@@ -1,3 +1,6 @@
 """One recipe for each experiment; each writes a JSON result with its provenance."""
 
-import cassie_mjx  # noqa: F401  before jax, whose log it quiets
+# Before jax, whose log our package quiets.
+from cassie_mjx import starting
+
+starting.begin("experiments")

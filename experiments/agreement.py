@@ -6,7 +6,7 @@ loops after 1 and 10 control steps of 32 ms with the settings that MJX trains on
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ import numpy as np
 from mujoco import mjx
 
 from cassie_mjx import cli
+from cassie_mjx.configuration.values import Checked, Range, Seed
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Scenario
@@ -26,19 +27,25 @@ CONVERGED = replace(MJX_TRAINING, iterations=50, ls_iterations=50)
 
 
 @dataclass(frozen=True)
-class AgreementConfig:
+class AgreementConfig(Checked):
     """What to compare."""
 
     out: str = "agreement.json"
     """Result file."""
     overwrite: bool = False
     """Whether to replace a file that is no result of this experiment."""
-    speeds: tuple[float, ...] = (0.0, 0.3, 1.0, 3.0)
+    speeds: tuple[Annotated[float, Range(0, 100)], ...] = (0.0, 0.3, 1.0, 3.0)
     """Standard deviation of the random joint velocities, rad/s (and m/s for the pelvis); 3 is the swing of a walk."""
-    robots: int = 16
+    robots: Annotated[int, Range(1, 10_000)] = 16
     """States for each speed."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the velocities and targets."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if there is nothing to compare."""
+        super().__post_init__()
+        if not self.speeds:
+            raise ValueError("speeds is empty; name at least one, such as speeds=1.")
 
 
 def loop_consistent(model: mujoco.MjModel, qpos: np.ndarray, velocity: np.ndarray) -> np.ndarray:

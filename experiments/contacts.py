@@ -7,12 +7,14 @@ says whether the pair is needed.
 
 from dataclasses import dataclass
 from itertools import islice
+from typing import Annotated
 
 import mujoco
 import numpy as np
 
 from cassie_mjx import cli
 from cassie_mjx.agents.heuristic import HeuristicAgent
+from cassie_mjx.configuration.values import Checked, Range
 from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.envs.termination import fallen
 from cassie_mjx.evaluation.steady import steady, walk_on
@@ -28,16 +30,16 @@ FAR_M = 0.5
 
 
 @dataclass(frozen=True)
-class ContactsConfig:
+class ContactsConfig(Checked):
     """What to walk through."""
 
     out: str = "contacts.json"
     """Result file."""
     overwrite: bool = False
     """Whether to replace a file that is no result of this experiment."""
-    push_n: float = 60.0
+    push_n: Annotated[float, Range(0, 1000)] = 60.0
     """Force of the 0.2 s pushes, N."""
-    seconds: float = 4.0
+    seconds: Annotated[float, Range(0.1, 600)] = 4.0
     """Walking after the push begins, s."""
 
 

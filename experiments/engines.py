@@ -14,20 +14,21 @@ from typing import Any
 from cassie_mjx import cli
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy import saved_agent
+from cassie_mjx.configuration.values import Checked
 from cassie_mjx.evaluation.returns import walk_returns
 from cassie_mjx.physics.make import ENGINES, make_physics
 from cassie_mjx.physics.types import Physics
 from cassie_mjx.reporting.results import blaming
-from cassie_mjx.robot.model import steps_per_control
+from cassie_mjx.robot.model import PhysicsHz, steps_per_control
 
 
 @dataclass(frozen=True)
-class EnginesConfig:
+class EnginesConfig(Checked):
     """What to compare."""
 
     runs: tuple[str, ...] = ()
     """Directories of training runs."""
-    rates: tuple[int, ...] = (2000, 1000, 500)
+    rates: tuple[PhysicsHz, ...] = (2000, 1000, 500)
     """Physics rates, Hz."""
     out: str = "engines.json"
     """Result file."""
@@ -36,6 +37,7 @@ class EnginesConfig:
 
     def __post_init__(self) -> None:
         """Raise ValueError for no run or rate, a run that is not there, or a rate that is none."""
+        super().__post_init__()
         for name, example in (("runs", "runs/1x-seed0"), ("rates", "2000")):
             if not getattr(self, name):
                 raise ValueError(f"{name} is empty; name at least one, such as {name}={example}.")

@@ -19,6 +19,7 @@ from cassie_mjx.agents import blending
 from cassie_mjx.agents.blend import BlendAgent
 from cassie_mjx.agents.make import make_policy_agent
 from cassie_mjx.agents.policy import PolicyAgent
+from cassie_mjx.configuration.values import Checked
 from cassie_mjx.envs.termination import fallen
 from cassie_mjx.evaluation import suites
 from cassie_mjx.evaluation.steady import steady, walk_on
@@ -33,7 +34,7 @@ STARTS = 20
 
 
 @dataclass(frozen=True)
-class InterpolationConfig:
+class InterpolationConfig(Checked):
     """What to blend."""
 
     policies: tuple[str, str, str, str, str] = ("0x", "1x", "2x", "3x", "4x")

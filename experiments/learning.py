@@ -19,6 +19,7 @@ from typing import Any, ClassVar
 from rich.table import Table
 
 from cassie_mjx import cli
+from cassie_mjx.configuration.values import Checked
 from cassie_mjx.envs.scenario import ScenarioConfig
 from cassie_mjx.reporting import plots
 from cassie_mjx.training import checkpoint
@@ -46,7 +47,7 @@ COLUMNS = {
 
 
 @dataclass(frozen=True)
-class LearningConfig:
+class LearningConfig(Checked):
     """What to study."""
 
     CHOICES: ClassVar[Mapping[str, Collection[str]]] = {"study": STUDIES}
@@ -61,10 +62,6 @@ class LearningConfig:
     """File for a picture of the curves; none if empty."""
     overwrite: bool = False
     """Whether to replace a file that is no result of this experiment."""
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a study that is not known."""
-        cli.check_choices(self)
 
 
 def is_finished(folder: Path) -> bool:

@@ -4,14 +4,15 @@ Each heuristic walker starts from random poses and velocities around standing st
 and walks for a minute in MuJoCo C at 2 kHz.
 """
 
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any
 
 import mujoco
 import numpy as np
 
 from cassie_mjx import cli
 from cassie_mjx.agents.heuristic import HeuristicAgent
+from cassie_mjx.configuration.values import Checked, Range, Seed
 from cassie_mjx.evaluation.scheduler import run_trials
 from cassie_mjx.evaluation.steady import begin
 from cassie_mjx.evaluation.trial import EpisodeResult, Trial
@@ -24,37 +25,31 @@ from experiments.record_reference import foot_points
 
 
 @dataclass(frozen=True)
-class PerturbedConfig:
+class PerturbedConfig(Checked):
     """How far from standing still to start; every value is drawn evenly from minus to plus the size given here."""
 
-    robots: int = 20
+    robots: Annotated[int, Range(1, 100_000)] = 20
     """Starts."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the starts."""
-    seconds: float = 60.0
+    seconds: Annotated[float, Range(5, 3600)] = 60.0
     """Duration of the walk, s."""
-    tilt_rad: float = 0.06
+    tilt_rad: Annotated[float, Range(0, 1.5)] = 0.06
     """Roll and pitch of the pelvis, and with it of the whole robot, rad."""
-    joint_rad: float = 0.06
+    joint_rad: Annotated[float, Range(0, 1.5)] = 0.06
     """Angles of the ten active joints, rad."""
-    drop_m: float = 0.02
+    drop_m: Annotated[float, Range(0, 1)] = 0.02
     """Height of the lowest point of the feet over the floor, from 0 up, m."""
-    pelvis_mps: float = 0.25
+    pelvis_mps: Annotated[float, Range(0, 10)] = 0.25
     """Velocity of the pelvis along each axis, m/s."""
-    pelvis_radps: float = 0.25
+    pelvis_radps: Annotated[float, Range(0, 100)] = 0.25
     """Angular velocity of the pelvis about each axis, rad/s."""
-    joint_radps: float = 0.25
+    joint_radps: Annotated[float, Range(0, 100)] = 0.25
     """Velocities of the ten active joints, rad/s."""
     out: str = "perturbed_starts.json"
     """Result file."""
     overwrite: bool = False
     """Whether to replace a file that is no result of this experiment."""
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for starts that cannot be made."""
-        for name, least in (("robots", 1), ("seconds", 5.0), *((f.name, 0) for f in fields(self)[3:-1])):
-            if not getattr(self, name) >= least:
-                raise ValueError(f"{name}={getattr(self, name)} is too small; it must be at least {least}.")
 
 
 def perturbed(config: PerturbedConfig, physics: NativePhysics) -> tuple[np.ndarray, np.ndarray]:

@@ -2,18 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import mujoco
 
 from cassie_mjx import cli
+from cassie_mjx.configuration.values import Checked, Range
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.robot.drawing import CAMERAS, load_scene, open_renderer
 from experiments import pictures
 
 
 @dataclass(frozen=True)
-class PortraitConfig:
+class PortraitConfig(Checked):
     """What to draw."""
 
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"camera": CAMERAS}
@@ -24,16 +25,12 @@ class PortraitConfig:
     """Whether to replace a file that is no picture of ours."""
     camera: str = "three-quarter"
     """A camera of the robot: "side", "front" or "three-quarter"."""
-    sample: int = 5
-    """Sample of the reference stride, 0 to 21; 5 is mid-swing."""
-    width: int = 960
+    sample: Annotated[int, Range(0, 21)] = 5
+    """Sample of the reference stride; 5 is mid-swing."""
+    width: Annotated[int, Range(16, 4096)] = 960
     """Pixels."""
-    height: int = 720
+    height: Annotated[int, Range(16, 4096)] = 720
     """Pixels."""
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a camera that is not known."""
-        cli.check_choices(self)
 
 
 def main(config: PortraitConfig) -> None:

@@ -8,7 +8,7 @@ it is random. With `plot=FILE.png` the motion is drawn as curves, with `strip=FI
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import mujoco
 import numpy as np
@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 from cassie_mjx import cli
 from cassie_mjx.agents.heuristic import HeuristicAgent
+from cassie_mjx.configuration.values import Checked, Range
 from cassie_mjx.envs.termination import fallen
 from cassie_mjx.evaluation.steady import begin, walk_on
 from cassie_mjx.files.archive import is_kind
@@ -36,18 +37,22 @@ MOTION = cli.Kind("a motion of ours", lambda path: is_kind(path, FORMAT))
 FRAMES, FRAME_HEIGHT, FRAME_WIDTH = 8, 300, 190
 
 
+Speed = Annotated[float, Range(-4, 4)]
+"""m/s."""
+
+
 @dataclass(frozen=True)
-class RecordConfig:
+class RecordConfig(Checked):
     """What to record."""
 
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"preset": tuple(CONTROLLERS)}
 
     preset: str = "compliant"
     """"stiff" or "compliant", a preset of the walker."""
-    speeds: tuple[float, ...] = (0.46, 0.49, 0.52, 0.55, 0.58, 0.61, 0.64, 0.67, 0.70, 0.73, 0.76, 0.79)
+    speeds: tuple[Speed, ...] = (0.46, 0.49, 0.52, 0.55, 0.58, 0.61, 0.64, 0.67, 0.70, 0.73, 0.76, 0.79)
     """Speeds to aim at instead of the preset's own, one robot each, m/s."""
-    strides: int = 60
-    """Strides of 0.704 s walked before the recorded one; 43 are 30 s."""
+    strides: Annotated[int, Range(43, 10_000)] = 60
+    """Strides of 0.704 s walked before the recorded one; 43 are 30 s, which the walk takes to settle."""
     out: str = "walk.npz"
     """File for the motion."""
     plot: str = ""
@@ -59,13 +64,11 @@ class RecordConfig:
 
     def __post_init__(self) -> None:
         """Raise ValueError for a recording that cannot be made."""
-        cli.check_choices(self)
+        super().__post_init__()
         if not self.out.endswith(".npz"):
             raise ValueError(f"out={self.out} is no motion file; name one that ends in .npz.")
         if not self.speeds:
             raise ValueError("speeds is empty; name at least one speed in m/s.")
-        if self.strides < 43:
-            raise ValueError(f"strides={self.strides} is too short for the walk to settle; use 43 or more.")
 
 
 def walk(config: RecordConfig, physics: NativePhysics) -> tuple[np.ndarray, np.ndarray]:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from cassie_mjx import cli
+from cassie_mjx.configuration.values import Checked
 from cassie_mjx.reporting import page, plots
 from cassie_mjx.reporting.page import drawn, section, table
 from cassie_mjx.reporting.results import Result, blaming, find
@@ -37,7 +38,7 @@ STUDIES = {
 
 
 @dataclass(frozen=True)
-class ReportConfig:
+class ReportConfig(Checked):
     """Where from, and where to."""
 
     results: str = "experiments/results"

@@ -7,12 +7,13 @@ of the loops (solref 0.005 1 with MuJoCo's default solimp) at 2 kHz.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import numpy as np
 
 from cassie_mjx import cli
+from cassie_mjx.configuration.values import Checked, Range, Seed
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Physics, Scenario
@@ -25,18 +26,18 @@ PUBLISHED_SOLIMP = (0.9, 0.95, 0.001)
 
 
 @dataclass(frozen=True)
-class SolverConfig:
+class SolverConfig(Checked):
     """What to measure."""
 
     out: str = "solver.json"
     """Result file."""
     overwrite: bool = False
     """Whether to replace a file that is no result of this experiment."""
-    robots: int = 32
+    robots: Annotated[int, Range(1, 10_000)] = 32
     """Robots, each in its own phase of the motion."""
-    control_steps: int = 18
+    control_steps: Annotated[int, Range(1, 10_000)] = 18
     """Control steps of 32 ms; none of the robots falls so soon."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the phases."""
 
 

@@ -18,6 +18,7 @@ from cassie_mjx.agents import blending
 from cassie_mjx.agents.make import make_policy_agent
 from cassie_mjx.agents.policy import PolicyAgent
 from cassie_mjx.agents.types import AgentState, Sensed
+from cassie_mjx.configuration.values import Checked, Seed
 from cassie_mjx.envs.termination import fallen
 from cassie_mjx.evaluation import suites
 from cassie_mjx.evaluation.simulate import act_steps, simulate
@@ -39,7 +40,7 @@ CHANGE_S, PROFILE_S = 2.0, 60.0
 
 
 @dataclass(frozen=True)
-class SpeedsConfig:
+class SpeedsConfig(Checked):
     """What to measure."""
 
     policies: tuple[str, ...] = ("0x", "1x", "2x", "3x", "4x")
@@ -49,9 +50,9 @@ class SpeedsConfig:
     runs: str = ""
     """Folder of the runs <policy>-seed<seed> of `experiments.learning`, study=learning_speeds and, for 1x, walking:
     their policies are measured under the policy's name and the seed; if empty, those that come with the package are."""
-    training_seeds: tuple[int, ...] = (0, 1, 2)
+    training_seeds: tuple[Seed, ...] = (0, 1, 2)
     """Seeds of those runs."""
-    profile_seed: int = 0
+    profile_seed: Seed = 0
     """What the speeds of the profile are drawn from."""
     out: str = "speeds.json"
     """Result file."""
@@ -62,6 +63,7 @@ class SpeedsConfig:
 
     def __post_init__(self) -> None:
         """Raise ValueError if there is nothing to measure."""
+        super().__post_init__()
         if not self.policies and not self.any_speed:
             raise ValueError("policies and any_speed are empty; name at least one, such as policies=2x.")
         unknown = [name for name in self.policies if self.runs and name not in VARIANTS]

@@ -12,6 +12,7 @@ import numpy as np
 from cassie_mjx import cli
 from cassie_mjx.agents.make import make_agent
 from cassie_mjx.agents.policy import PolicyAgent
+from cassie_mjx.configuration.values import Checked
 from cassie_mjx.evaluation.film import film
 from cassie_mjx.evaluation.trial import Trial
 from cassie_mjx.motion.reference import ReferenceMotion, sample
@@ -27,7 +28,7 @@ LIFTED_M = 0.005
 
 
 @dataclass(frozen=True)
-class StrideConfig:
+class StrideConfig(Checked):
     """What walks."""
 
     policy: str = "1x"

@@ -10,7 +10,7 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import mujoco
@@ -18,6 +18,7 @@ import mujoco.rollout
 import numpy as np
 
 from cassie_mjx import cli
+from cassie_mjx.configuration.values import Checked, Range, Seed
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Physics, PhysicsState, Scenario
@@ -34,22 +35,22 @@ from cassie_mjx.robot.model import (
 
 
 @dataclass(frozen=True)
-class ThroughputConfig:
+class ThroughputConfig(Checked):
     """What to time."""
 
     out: str = "throughput.json"
     """Result file."""
     overwrite: bool = False
     """Whether to replace a file that is no result of this experiment."""
-    native_robots: tuple[int, ...] = (1, 16, 64, 256)
-    """Batch sizes for MuJoCo C."""
-    mjx_robots: tuple[int, ...] = (64, 256)
-    """Batch sizes for MJX."""
-    control_steps: int = 8
+    native_robots: tuple[Annotated[int, Range(1, 100_000)], ...] = (1, 16, 64, 256)
+    """Batch sizes for MuJoCo C; none if empty."""
+    mjx_robots: tuple[Annotated[int, Range(1, 100_000)], ...] = (64, 256)
+    """Batch sizes for MJX; none if empty."""
+    control_steps: Annotated[int, Range(1, 10_000)] = 8
     """Control steps of 32 ms in each timed stretch."""
-    turns: int = 5
+    turns: Annotated[int, Range(1, 1000)] = 5
     """Timed stretches; the median counts."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the gait phases."""
 
 
@@ -156,10 +157,10 @@ def main(config: ThroughputConfig) -> None:
         for model in (ModelConfig(), ModelConfig(physics_hz=1000), ModelConfig(physics_hz=500)):
             rows.append(time_native(config, model, robots, threads))
             console.print(rows[-1])
-    largest = max(config.mjx_robots)
+    largest = max(config.mjx_robots, default=0)
     published = ModelConfig(physics_hz=1000, contacts="published", iterations=4, ls_iterations=6)
     cases = [(MJX_TRAINING, robots) for robots in config.mjx_robots]
-    cases += [(replace(MJX_TRAINING, contacts="full"), largest), (published, largest)]
+    cases += [(replace(MJX_TRAINING, contacts="full"), largest), (published, largest)] if largest else []
     for model, robots in cases:
         rows.append(time_mjx(config, model, robots))
         console.print(rows[-1])

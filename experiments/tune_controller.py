@@ -10,7 +10,7 @@ import importlib.metadata
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import islice
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import cma
 import jax
@@ -19,6 +19,7 @@ import numpy as np
 from cassie_mjx import cli
 from cassie_mjx.agents.heuristic import HeuristicAgent
 from cassie_mjx.agents.types import Agent, AgentState
+from cassie_mjx.configuration.values import Checked, Range
 from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.envs.termination import fallen
 from cassie_mjx.evaluation.scheduler import run_trials
@@ -76,32 +77,25 @@ SMALLEST = {
 
 
 @dataclass(frozen=True)
-class TuneConfig:
+class TuneConfig(Checked):
     """One search."""
 
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"preset": tuple(CONTROLLERS)}
 
     preset: str = "compliant"
     """"stiff" or "compliant". The compliant one keeps its gains, which are the published ones."""
-    generations: int = 20
+    generations: Annotated[int, Range(1, 1_000_000)] = 20
     """Generations of CMA-ES."""
-    population: int = 12
+    population: Annotated[int, Range(4, 100_000)] = 12
     """Candidates in a generation."""
-    spread: float = 0.5
+    spread: Annotated[float, Range(0, 10)] = 0.5
     """Standard deviation of the start around the shipped preset, in steps of the search."""
-    seed: int = 0
+    seed: Annotated[int, Range(0, 2**32 - 2)] = 0
     """Seed of the start and of CMA-ES."""
     out: str = "controller.json"
     """Result file."""
     overwrite: bool = False
     """Whether to replace a file that is no result of this experiment."""
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a search that cannot be made."""
-        cli.check_choices(self)
-        for name, least in (("generations", 1), ("population", 4), ("spread", 0), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name}={getattr(self, name)} is too small; it must be at least {least}.")
 
 
 class Demand(NamedTuple):

@@ -238,7 +238,7 @@ def test_bad_configurations(motion):
         "push_n": 1001,
         "push_pause_s": 61,
     }.items():
-        with pytest.raises(ValueError, match=rf"{name}={value} must be from 0 to [\d.]+\."):
+        with pytest.raises(ValueError, match=rf"{name}={value} must be from 0 to [\d.,]+\."):
             ScenarioConfig(**{name: value})
     with pytest.raises(ValueError, match=r"delay_s=0.01 is 10 physics steps; this engine was made for 0 to 0\."):
         make(NativePhysics(load_model(MODEL)), motion, ScenarioConfig(delay_s=0.01))

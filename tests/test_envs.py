@@ -289,17 +289,17 @@ def test_both_engines_step_the_same_task(native, motion):
 
 
 def test_bad_configurations():
-    with pytest.raises(ValueError, match="reward='sparse' is not known; choose one of plain, weighted"):
+    with pytest.raises(ValueError, match="reward=sparse is not known; choose one of plain, weighted"):
         WalkConfig(reward="sparse")
     with pytest.raises(ValueError, match="min_reward=1.5 must be"):
         WalkConfig(min_reward=1.5)
-    with pytest.raises(ValueError, match="max_position_error_m=0 must be greater than 0, or null"):
+    with pytest.raises(ValueError, match="max_position_error_m=0 must be from 0.001 to 1,000, or null"):
         WalkConfig(max_position_error_m=0)
     with pytest.raises(ValueError, match="start_velocity_mps=-1 must be from 0 to 3"):
         WalkConfig(start_velocity_mps=-1)
     with pytest.raises(ValueError, match="start_offset_m=4 must be from 0 to 3"):
         WalkConfig(start_offset_m=4)
-    with pytest.raises(ValueError, match=r"command_s=0 must be at least 0\.032, or null"):
+    with pytest.raises(ValueError, match=r"command_s=0 must be from 0\.032 to 3,600, or null"):
         WalkConfig(command_s=0)
-    with pytest.raises(ValueError, match="episode_steps=0 must be at least 1"):
+    with pytest.raises(ValueError, match="episode_steps=0 must be a whole number from 1 to 1,000,000"):
         WalkConfig(episode_steps=0)

@@ -61,10 +61,10 @@ def test_starts_follow_the_seed(physics):
 @pytest.mark.parametrize(
     ("argument", "sentence"),
     [
-        ("robots=0", "robots=0 is too small; it must be at least 1"),
-        ("seconds=1", "seconds=1.0 is too small; it must be at least 5.0"),
-        ("drop_m=-0.1", "drop_m=-0.1 is too small; it must be at least 0"),
-        ("tilt_rad=nan", "tilt_rad=nan is too small"),
+        ("robots=0", "robots=0 must be a whole number from 1 to 100,000"),
+        ("seconds=1", "seconds=1.0 must be from 5 to 3,600"),
+        ("drop_m=-0.1", "drop_m=-0.1 must be from 0 to 1"),
+        ("tilt_rad=nan", "tilt_rad=nan must be from 0 to 1.5"),
     ],
 )
 def test_starts_that_cannot_be_made(argument, sentence):

@@ -31,7 +31,7 @@ def test_slip_is_the_way_of_a_point_while_it_is_down():
 def test_a_recording_that_cannot_be_made():
     with pytest.raises(ValueError, match="preset=soft is not known; choose one of stiff, compliant"):
         RecordConfig(preset="soft")
-    with pytest.raises(ValueError, match="strides=5 is too short for the walk to settle; use 43 or more"):
+    with pytest.raises(ValueError, match="strides=5 must be a whole number from 43 to 10,000"):
         RecordConfig(strides=5)
     with pytest.raises(ValueError, match="speeds is empty"):
         RecordConfig(speeds=())

@@ -168,22 +168,33 @@ def test_the_command_says_how_it_went(drawing, tmp_path, monkeypatch, capsys, ho
         ("out=walk.avi", r"out=walk\.avi cannot be filmed; name a file that ends in \.mp4 or \.gif\."),
         ("out=walk", r"name a file that ends in \.mp4 or \.gif"),
         ("camera=top", "camera=top is not known; choose one of three-quarter, side, front"),
-        ("seconds=0", r"seconds=0\.0 cannot be filmed; use a duration above 0 s"),
-        ("seconds=inf", "seconds=inf cannot be filmed"),
-        ("push=10", r"push=\(10\.0,\) cannot be filmed; name two forces in N, such as push=0,50"),
-        ("push=10,nan", "name two forces in N"),
-        ("push_at=-1", "use a time of at least 0 s"),
-        ("terrain=-0.1", "use a height of at least 0 m"),
+        ("seconds=0", r"seconds=0\.0 must be from 0\.01 to 3,600\."),
+        ("seconds=1e-11", r"seconds=1e-11 must be from 0\.01 to 3,600\."),
+        ("seconds=inf", "seconds=inf must be from"),
+        ("push=10", r"push=10\.0 must be 2 values, with commas between\."),
+        ("push=10,nan", "push=10.0,nan: each must be from -1,000 to 1,000"),
+        ("push=1e300,0", "each must be from -1,000 to 1,000"),
+        ("push_at=-1", "must be from 0 to 3,600"),
+        ("terrain=-0.1", "must be from 0 to 1"),
+        ("terrain=1000", "must be from 0 to 1"),
+        ("delay=1e9", "must be from 0 to 1,000"),
         ("delay=0.3", r"delay=0\.3 cannot be filmed; use a multiple of 0\.5 ms"),
-        ("phase=2", "use a share of the stride from 0 to 1"),
-        ("width=641", "width=641 cannot be filmed; use an even number from 16 to 4096"),
-        ("height=8", "height=8 cannot be filmed"),
-        ("fps=0", "use 1 to 1000"),
+        ("phase=2", "phase=2.0 must be from 0 to 1"),
+        ("width=641", "width=641 cannot be filmed; use an even number"),
+        ("height=8", "height=8 must be a whole number from 16 to 4,096"),
+        ("fps=0", "must be from 1 to 1,000"),
     ],
 )
 def test_what_cannot_be_filmed_gets_one_sentence(argument, sentence):
     with pytest.raises(ValueError, match=sentence):
         cli.parse(RenderConfig, [argument])
+
+
+def test_a_push_after_the_end_of_the_film_is_refused():
+    for seconds, push_at in (("10", "20"), ("1", "2")):
+        with pytest.raises(ValueError, match=rf"push_at={push_at}\.0 cannot be filmed; the film ends at {seconds} s\."):
+            cli.parse(RenderConfig, ["push=0,50", f"push_at={push_at}", f"seconds={seconds}"])
+    assert cli.parse(RenderConfig, ["seconds=1"]).push_at == 2, "which nobody asked for"
 
 
 def test_a_gif_faster_than_browsers_show_it_is_refused():
@@ -200,7 +211,7 @@ def test_an_unwritable_file_is_refused_before_the_walk(tmp_path):
     ("chosen", "sentence"),
     [
         (None, "neither works here; install libegl1 and libgl1-mesa-dri, or libosmesa6"),
-        ("osmesa", "MUJOCO_GL=osmesa does not work here; unset it"),
+        ("osmesa", "neither works here"),
     ],
 )
 def test_where_nothing_can_draw_the_packages_are_named(monkeypatch, chosen, sentence):
@@ -217,4 +228,11 @@ def test_where_nothing_can_draw_the_packages_are_named(monkeypatch, chosen, sent
         monkeypatch.setenv("MUJOCO_GL", chosen)
     with pytest.raises(ValueError, match=sentence):
         drawing_module.choose_backend.__wrapped__()
-    assert tried == ([chosen] if chosen else ["egl", "osmesa"])
+    assert tried == [*([chosen] if chosen else []), "egl", "osmesa"]
+
+
+def test_what_draws_instead_is_named(monkeypatch):
+    monkeypatch.setattr(drawing_module, "_draws", lambda backend: backend == "egl")
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    with pytest.raises(ValueError, match=r"^MUJOCO_GL=osmesa does not work here; MUJOCO_GL=egl does, or unset it\.$"):
+        drawing_module.choose_backend.__wrapped__()

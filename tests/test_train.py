@@ -329,18 +329,24 @@ def test_a_sweep_runs_every_combination(monkeypatch, tmp_path):
         ("ppo.clip=1", "'ppo.clip' is not a key; the keys are num_robots, num_steps,"),
         ("+song=1", "'+song' is not a key; the keys are speed,"),
         ("walk.scenario.wind=1", "'walk.scenario.wind' is not a key; the keys are push_n,"),
-        ("walk.scenario.push_n=-1", "push_n=-1.0 must be from 0 to 1000."),
+        ("walk.scenario.push_n=-1", "walk.scenario.push_n=-1.0 must be from 0 to 1,000."),
         ("ppo=huge", "ppo=huge is not known; choose one of paper, parallel, massive."),
         ("hydra/launcher=slurm", "'hydra/launcher' is not a key; the keys are speed,"),
-        ("seed=one", "seed=one: Value 'one' of type 'str' could not be converted to Integer."),
+        ("seed=one", "seed=one: 'one' is not a whole number."),
         ("speed", "'speed' is not of the form key=value; the keys are speed,"),
-        ("seed=0,1", "seed=0,1: Value '0,1' of type"),
+        ("seed=0,1", "seed=0,1: '0,1' is not a whole number; -m seed=0,1 runs one after another."),
         ("speed=9x", "speed=9x is not a speed; give a factor from 0x to 4x, such as 2x or 1.5x, or any"),
         ("speed=fast", "speed=fast is not a speed"),
         ("physics=bullet", "physics=bullet is not known; choose one of auto, native, mjx."),
         ("physics_hz=300", "physics_hz=300 does not divide"),
-        ("evaluate_every=0", "evaluate_every=0 must be at least 1."),
-        ("ppo.clip_epsilon=-1", "clip_epsilon is -1.0; it must be greater than 0."),
+        ("evaluate_every=0", "evaluate_every=0 must be a whole number from 1 to 1,000,000."),
+        ("ppo.clip_epsilon=-1", "ppo.clip_epsilon=-1.0 must be from 0.0001 to 100."),
+        ("physics_hz=1000000000", "physics_hz=1000000000 must be a whole number from 100 to 20,000, or null."),
+        ("walk=5", "walk=5 is not known; choose one of undisturbed, robust."),
+        ("ppo=null", "ppo=null is not known; choose one of paper, parallel, massive."),
+        ("=1", "'' is not a key; the keys are speed,"),
+        ("walk.=1", "'walk.' is not a key; the keys are reward,"),
+        ("init=", "init is empty; name one, or null."),
         ("walk.reward=song", "walk.reward=song is not known; choose one of plain, weighted."),
     ],
 )
@@ -354,7 +360,6 @@ def test_a_wrong_command_line_is_refused_in_one_sentence(monkeypatch, capsys, ar
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["seed=0,1", "speed=9x"], "speed=9x is not a speed"),
         (["hydra/launcher=slurm", "seed=0,1"], "hydra/launcher=slurm is not known; choose one of basic."),
         (["seed"], "'seed' is not of the form key=value."),
     ],
@@ -382,7 +387,7 @@ def test_a_sweep_trains_one_run_after_another(monkeypatch, tmp_path, capsys):
     # What it then says goes on with both, and works.
     with pytest.raises(SystemExit, match="2"):
         command(monkeypatch, train_quietly, *arguments)
-    on = capsys.readouterr().err.strip().split("python -m cassie_mjx.train ")[1]
+    on = capsys.readouterr().err.split("python -m cassie_mjx.train ")[1].splitlines()[0]
     command(monkeypatch, train_quietly, *shlex.split(on))
 
 

@@ -18,7 +18,7 @@ from experiments.tune_controller import DEMANDS, Evaluator, TuneConfig, candidat
 )
 def test_tuner_refuses_what_it_cannot_search(preset, wrong):
     with pytest.raises(
-        ValueError, match=r"preset=soft is not known; choose one of stiff|too small; it must be at least"
+        ValueError, match=r"preset=soft is not known; choose one of stiff|must be a whole number from [14] to"
     ):
         TuneConfig(preset=preset, **wrong)
 

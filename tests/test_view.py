@@ -132,5 +132,5 @@ def test_without_a_screen_there_is_one_sentence(monkeypatch):
 
 
 def test_a_terrain_below_zero_is_refused():
-    with pytest.raises(ValueError, match=r"terrain=-0\.1 is no height; use at least 0 m"):
+    with pytest.raises(ValueError, match=r"terrain=-0\.1 must be from 0 to 1\."):
         cli.parse(ViewConfig, ["terrain=-0.1"])

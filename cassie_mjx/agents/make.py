@@ -11,11 +11,12 @@ from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy import PolicyAgent, saved_agent
 from cassie_mjx.agents.shipped import policy_path, shipped_policies
 from cassie_mjx.agents.types import Agent
+from cassie_mjx.configuration.values import Checked
 from cassie_mjx.heuristic.config import CONTROLLERS
 
 
 @dataclass(frozen=True)
-class AgentConfig:
+class AgentConfig(Checked):
     """What walks: the first keys of a command that has one agent."""
 
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"schedule": tuple(SCHEDULES)}

@@ -12,7 +12,7 @@ from cassie_mjx.cli.files import (
     write_result,
     write_text,
 )
-from cassie_mjx.cli.keys import Group, check_choices
+from cassie_mjx.cli.keys import Group
 from cassie_mjx.cli.origin import program, provenance
 from cassie_mjx.cli.process import console
 
@@ -20,7 +20,6 @@ __all__ = [
     "RESULT",
     "Group",
     "Kind",
-    "check_choices",
     "check_output",
     "check_writable",
     "console",

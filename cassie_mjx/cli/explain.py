@@ -1,4 +1,4 @@
-"""What `--help` prints: every key of a command with its sentence, its default and its choices, and every preset."""
+"""What `--help` prints: every key of a command with its sentence, its default, choices or range, and every preset."""
 
 import inspect
 import shutil
@@ -8,11 +8,14 @@ from dataclasses import MISSING
 from typing import Any
 
 from cassie_mjx.cli.keys import Group, Key, flatten, keys_of
+from cassie_mjx.configuration.values import shown
 
 WIDEST = 120
-SWEEPS = """-m runs all combinations of values one after another: -m seed=0,1,2; a tuple is key=[1,2] then. A launcher
-of Hydra's takes them to a cluster: -m hydra/launcher=NAME hydra.launcher.OPTION=VALUE, whose options are listed by
-hydra/launcher=NAME --cfg hydra -p hydra.launcher."""
+SWEEPS = """-m runs all combinations of values one after another: -m seed=0,1,2; a tuple is key=[1,2] then, and a text
+with a comma in it is 'a,b', in quotes that the shell keeps. Each combination has result files or a run directory of its
+own, named after its values; one that fails does not stop the others. A launcher of Hydra's takes them to a cluster:
+-m hydra/launcher=NAME hydra.launcher.OPTION=VALUE, whose options are listed by hydra/launcher=NAME --cfg hydra -p
+hydra.launcher."""
 
 
 def explain(doc: str, config_class: type, groups: Mapping[str, Group]) -> str:
@@ -34,9 +37,10 @@ def explain(doc: str, config_class: type, groups: Mapping[str, Group]) -> str:
 
 def _text(name: str, key: Key, groups: Mapping[str, Group]) -> str:
     kind = "Presets" if name in groups else "Choices"
-    choices = f"{kind}: {', '.join(key.choices)}." if key.choices else ""
+    choices = f"{kind}: {', '.join(key.allowed.choices)}." if key.allowed.choices else ""
+    span = f"{key.allowed.span().capitalize()}." if key.allowed.range else ""
     required = "It must be given." if key.default is MISSING else ""
-    return " ".join(filter(None, (key.doc, choices, required)))
+    return " ".join(filter(None, (key.doc, choices, span, required)))
 
 
 def _changes(name: str, group: Group, preset: str) -> str:
@@ -47,17 +51,7 @@ def _changes(name: str, group: Group, preset: str) -> str:
 
 def _assigned(name: str, value: Any) -> str:
     """A key and its value as a command line gives them."""
-    return f"{name}={'...' if value is MISSING else _shown(value)}"
-
-
-def _shown(value: Any) -> str:
-    if value is None:
-        return "null"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, tuple):
-        return ",".join(map(_shown, value)) or "[]"
-    return str(value)
+    return f"{name}={'...' if value is MISSING else shown(value)}"
 
 
 def _entry(title: str, text: str) -> str:

@@ -1,13 +1,14 @@
 """The keys of a command: the fields of its configuration, nested ones with a dot, as `key=value` names them."""
 
 import ast
-import difflib
 import inspect
 import textwrap
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from functools import cache
 from typing import Any, NamedTuple, TypeVar, get_type_hints
+
+from cassie_mjx.configuration.values import Allowed, allowed
 
 C = TypeVar("C")
 
@@ -26,8 +27,8 @@ class Key(NamedTuple):
     """Type of its value."""
     default: Any
     """`dataclasses.MISSING` if the key must be given."""
-    choices: Collection[str]
-    """What its value can be, apart from null; empty if that is not a list of names."""
+    allowed: Allowed
+    """What its value can be, apart from its type."""
     doc: str
     """What stands under the field."""
 
@@ -43,18 +44,18 @@ def keys_of(config_class: type, groups: Mapping[str, Group]) -> dict[str, Key]:
 
 
 def _keys(config_class: type, instance: Any, groups: Mapping[str, Group], prefix: str) -> Iterator[tuple[str, Key]]:
-    kinds, docs, choices = get_type_hints(config_class), field_docs(config_class), field_choices(config_class)
+    kinds, docs, known = get_type_hints(config_class), field_docs(config_class), allowed(config_class)
     for field in fields(config_class):
         name, kind, doc = prefix + field.name, kinds[field.name], docs.get(field.name, "")
         default = _default(field) if instance is MISSING else getattr(instance, field.name)
         if group := groups.get(name):
-            yield name, Key(str, group.default, tuple(group.presets), doc)
+            yield name, Key(str, group.default, Allowed(tuple(group.presets)), doc)
             default = group.presets[group.default]
         if is_dataclass(kind):
             assert isinstance(kind, type)
             yield from _keys(kind, default, groups, f"{name}.")
         else:
-            yield name, Key(kind, default, choices.get(field.name, ()), doc)
+            yield name, Key(kind, default, known[field.name], doc)
 
 
 def _default(field: Field[Any]) -> Any:
@@ -80,30 +81,6 @@ def build(config_class: type[C], values: Mapping[str, Any], prefix: str = "") ->
             for name in names
         }
     )
-
-
-def field_choices(config_class: type) -> dict[str, Collection[str]]:
-    """The choices of each field that has some: `CHOICES` of the dataclass and of those that it inherits from."""
-    owners = reversed(config_class.__mro__)
-    return {name: known for owner in owners for name, known in vars(owner).get("CHOICES", {}).items()}
-
-
-def check_choices(config: Any) -> None:
-    """Raise ValueError if a field's value is none of its choices, nor null; the sentence names them."""
-    for name, known in field_choices(type(config)).items():
-        check_choice(name, getattr(config, name), known)
-
-
-def check_choice(name: str, value: Any, known: Collection[str]) -> None:
-    """Raise ValueError if `value` is none of the `known` ones, nor null; the sentence names them."""
-    if value is not None and value not in known:
-        raise ValueError(f"{name}={value} is not known; choose one of {', '.join(known)}.{did_you_mean(value, known)}")
-
-
-def did_you_mean(given: str, known: Collection[str]) -> str:
-    """A question that names the known word nearest to the given one, after a blank; empty if none is near."""
-    near = difflib.get_close_matches(given, known, 1)
-    return f" Did you mean {near[0]}?" if near else ""
 
 
 @cache

@@ -5,7 +5,7 @@ import importlib
 import sys
 from pathlib import Path
 
-from cassie_mjx.cli.keys import did_you_mean
+from cassie_mjx.configuration.values import did_you_mean
 
 COMMANDS = ("train", "evaluate", "render", "view", "export", "report")
 

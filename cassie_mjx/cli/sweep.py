@@ -3,7 +3,14 @@
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from types import NoneType
+from typing import Any, get_args
+from urllib.parse import quote, unquote
+
+from cassie_mjx.cli.keys import Key
+from cassie_mjx.cli.reading import values_of
 
 # What asks Hydra for all combinations, or for its own configuration, which lists a launcher's options.
 _FLAGS = {"-m", "--multirun", "-c", "--cfg"}
@@ -15,6 +22,13 @@ _QUIET = {
     "job": {"chdir": False},
 }
 
+Job = Callable[[list[str], dict[str, str]], None]
+"""Does one combination, given its arguments and, of these, what not all combinations have in common."""
+
+
+class CombinationFailed(Exception):
+    """A combination of a sweep, the message, has failed, and has said why."""
+
 
 def wants_hydra(arguments: Sequence[str]) -> bool:
     """Whether the arguments of a command line are for Hydra to read."""
@@ -23,14 +37,20 @@ def wants_hydra(arguments: Sequence[str]) -> bool:
 
 def is_hydras(argument: str) -> bool:
     """Whether an argument that Hydra reads is about Hydra itself, not one of the command's keys."""
-    return "=" not in argument or argument.startswith(("-", "hydra.", "hydra/"))
+    name, equals, _ = argument.partition("=")
+    return not equals or name.startswith(("hydra.", "hydra/")) or name in ("--cfg", "--package")
 
 
-def sweep(arguments: Sequence[str], job: Callable[[list[str]], None]) -> None:
-    """Call `job` with the arguments of each combination.
+def sweep(arguments: Sequence[str], keys: Mapping[str, Key], job: Job) -> None:
+    """Call `job` for each combination; what it raises is printed, and the other combinations go on.
+
+    Args:
+      arguments: `key=values` of known keys, and what is for Hydra.
+      keys: the command's.
+      job: may be called in another process.
 
     Raises:
-      ValueError: what Hydra objects to.
+      ValueError: what Hydra objects to, or combinations failed; the sentence names them.
     """
     # Imported here: no other command line waits for it.
     import hydra
@@ -41,7 +61,9 @@ def sweep(arguments: Sequence[str], job: Callable[[list[str]], None]) -> None:
     from omegaconf import DictConfig
     from omegaconf.errors import OmegaConfBaseException
 
-    typed = sys.argv
+    typed, here, failed = sys.argv, os.getpid(), []
+    whole = [each if is_hydras(each) else _for_hydra(each, keys) for each in arguments]
+    ours = [each for each in whole if each.startswith("++")]
     defaults = [{"override hydra/job_logging": "disabled"}, {"override hydra/hydra_logging": "disabled"}]
     ConfigStore.instance().store(name="sweep", node={"defaults": ["_self_", *defaults], "hydra": _QUIET})
     # Hydra then raises what it would print in several lines.
@@ -52,18 +74,56 @@ def sweep(arguments: Sequence[str], job: Callable[[list[str]], None]) -> None:
     def task(_: DictConfig) -> None:
         # A run's record and how to go on with it are of the command that was typed.
         sys.argv = typed
-        overrides = OverridesParser.create().parse_overrides(list(HydraConfig.get().overrides.task))
-        # JSON is YAML, whatever is in a value.
-        job([f"{each.key_or_group}={json.dumps(each.value(), ensure_ascii=False)}" for each in overrides])
+        own = OverridesParser.create().parse_overrides(list(HydraConfig.get().overrides.task))
+        values = {str(each.key_or_group): _text(each.value()) for each in own}
+        if name := _failure(job, values, {key: values[key] for key in swept}):
+            failed.append(name)
+            if os.getpid() != here:
+                raise CombinationFailed(name)
 
     # ++ sets a key that Hydra's own configuration does not have.
-    sys.argv = [typed[0], *(each if is_hydras(each) else f"++{each}" for each in arguments)]
+    sys.argv = [typed[0], *whole]
     try:
+        overrides = OverridesParser.create().parse_overrides(ours)
+        swept = [str(each.key_or_group) for each in overrides if each.is_sweep_override()]
         task()
+    except CombinationFailed as error:
+        # A launcher that takes jobs to other processes brings back the first failure alone.
+        raise ValueError(f"{error} failed, and maybe others; the launcher's logs say why.") from error
     except (HydraException, OmegaConfBaseException) as error:
         raise ValueError(_sentence(error)) from error
     finally:
         sys.argv = typed
+    if failed:
+        raise ValueError(f"{len(failed)} of the combinations failed: {'; '.join(failed)}.")
+
+
+def _for_hydra(argument: str, keys: Mapping[str, Key]) -> str:
+    """The same argument as Hydra reads it, whatever is in its values."""
+    name, _, text = argument.partition("=")
+    kind = keys[name].kind
+    # Numbers are Hydra's own: it has range(0,10).
+    if {kind, *get_args(kind)} <= {int, float, bool, NoneType}:
+        return f"++{name}={text}"
+    return f"++{name}=" + ",".join(f"'{quote(value)}'" for value in values_of(argument, text, kind))
+
+
+def _text(value: Any) -> str:
+    """The text of a value that Hydra has read."""
+    return unquote(value) if isinstance(value, str) else json.dumps(value)
+
+
+def _failure(job: Job, values: Mapping[str, str], swept: dict[str, str]) -> str:
+    """Do one combination. Which one it is if it fails, for a reason that is printed; else nothing."""
+    try:
+        job([f"{key}={value}" for key, value in values.items()], swept)
+    except (ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+    except Exception:
+        traceback.print_exc()
+    else:
+        return ""
+    return " ".join(f"{key}={value}" for key, value in (swept or values).items())
 
 
 def _sentence(error: Exception) -> str:
@@ -77,5 +137,5 @@ def _sentence(error: Exception) -> str:
         argument = error.override.removeprefix("++")
         if "=" not in argument:
             return f"{argument!r} is not of the form key=value."
-        return f"{argument!r} cannot be read by Hydra; put its value in quotes that the shell keeps, \"key='...'\"."
+        return f"{argument!r} cannot be read by Hydra; give one value or several with commas between, in quotes, '...'."
     return " ".join(str(error).split())

@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
+from cassie_mjx.configuration.values import Checked, Range
 from cassie_mjx.control.law import ControlLaw
 from cassie_mjx.control.observation import OBSERVATIONS
 from cassie_mjx.envs import reward
@@ -12,7 +13,7 @@ from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
 
 
 @dataclass(frozen=True)
-class WalkConfig:
+class WalkConfig(Checked):
     """The task's own parameters."""
 
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {
@@ -22,24 +23,24 @@ class WalkConfig:
 
     reward: str = "weighted"
     """Reward to learn from: "plain" (the paper's) or "weighted" (the later code's); both are always measured."""
-    min_reward: float | None = 0.4
+    min_reward: Annotated[float, Range(0, 0.999)] | None = 0.4
     """A step's reward below which an episode ends, a device of training; null for none."""
-    max_position_error_m: float | None = 0.5
+    max_position_error_m: Annotated[float, Range(0.001, 1000)] | None = 0.5
     """How far ahead of the reference motion or behind it an episode ends, m, a device of training; null for nowhere.
 
     Without it robots that are told to walk fast learn to do without the position's share of the reward."""
-    episode_steps: int = 300
+    episode_steps: Annotated[int, Range(1, 1_000_000)] = 300
     """Control steps of a full episode; 300 are 9.6 s."""
-    start_velocity_mps: float = 0.5
+    start_velocity_mps: Annotated[float, Range(0, 3)] = 0.5
     """How far from the reference's the pelvis' horizontal velocity may be as an episode begins, m/s, in any direction.
 
     It is drawn for each episode. Robots learn from it to come back to the speed that they are told, sooner than by
     losing it themselves; 0 starts every episode on the reference, as in the paper."""
-    start_offset_m: float = 0.0
+    start_offset_m: Annotated[float, Range(0, 3)] = 0.0
     """How far to the left or right of the reference's line an episode may begin, m. It is drawn for each episode."""
-    command_s: float | None = 4.0
+    command_s: Annotated[float, Range(CONTROL_PERIOD_S, 3600)] | None = 4.0
     """Mean time from one commanded speed to the next, s, where there is a range of them; null for one an episode."""
-    kd_scale: float = 1.0
+    kd_scale: Annotated[float, Range(0, 1)] = 1.0
     """Factor on the published D gains of the PD law; with less, robots bear to sense and act later."""
     observation: str = "full"
     """What the policy observes: "full", the 80-D state of the paper, is the list of terms that we ship."""
@@ -47,27 +48,6 @@ class WalkConfig:
     """Whether the policy learns one of the stride's two steps and sees and acts in the other as in a mirror."""
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     """What robots are put through besides walking."""
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of range."""
-        if self.reward not in reward.SCALES:
-            raise ValueError(f"reward={self.reward!r} is not known; choose one of {', '.join(reward.SCALES)}.")
-        if self.observation not in OBSERVATIONS:
-            raise ValueError(f"observation={self.observation!r} is not known; choose one of {', '.join(OBSERVATIONS)}.")
-        if self.min_reward is not None and not 0 <= self.min_reward < 1:
-            raise ValueError(f"min_reward={self.min_reward} must be from 0 to below 1, or null.")
-        if self.max_position_error_m is not None and not self.max_position_error_m > 0:
-            raise ValueError(f"max_position_error_m={self.max_position_error_m} must be greater than 0, or null.")
-        if not 0 <= self.start_velocity_mps <= 3:
-            raise ValueError(f"start_velocity_mps={self.start_velocity_mps} must be from 0 to 3.")
-        if not 0 <= self.start_offset_m <= 3:
-            raise ValueError(f"start_offset_m={self.start_offset_m} must be from 0 to 3.")
-        if self.command_s is not None and not self.command_s >= CONTROL_PERIOD_S:
-            raise ValueError(f"command_s={self.command_s} must be at least {CONTROL_PERIOD_S}, or null.")
-        if self.episode_steps < 1:
-            raise ValueError(f"episode_steps={self.episode_steps} must be at least 1.")
-        if not 0 <= self.kd_scale <= 1:
-            raise ValueError(f"kd_scale={self.kd_scale} must be from 0 to 1.")
 
     @property
     def law(self) -> ControlLaw:

@@ -2,10 +2,12 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
 
+from cassie_mjx.configuration.values import Checked, Range
 from cassie_mjx.physics.types import Scenario, merge
 from cassie_mjx.robot.arrays import Array
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
@@ -18,33 +20,21 @@ TERRAIN_HEIGHTS = 8
 """Heights above 0 that terrain is drawn from, evenly spaced: MuJoCo C compiles a model for each."""
 
 
-LARGEST = {"push_n": 1000, "push_backward": 1, "push_pause_s": 60, "terrain_m": 1, "delay_s": 0.1}
-"""The largest value of each range that can be asked for."""
-
-
 @dataclass(frozen=True)
-class ScenarioConfig:
+class ScenarioConfig(Checked):
     """How far robots are disturbed; the default is not at all. What is drawn is uniform from 0 to the value given."""
 
-    push_n: float = 0.0
+    push_n: Annotated[float, Range(0, 1000)] = 0.0
     """Force of a push at the pelvis, N: horizontal, in any direction, for 0.2 s, one push after the
-    other; 0 to 1000."""
-    push_backward: float = 1.0
-    """Factor on what a push has along -x, 0 to 1: backward, robots bear only weaker pushes than in other directions."""
-    push_pause_s: float = 4.0
-    """Time from the start of the episode, or from the end of the push before, to a push, s; 0 to 60."""
-    terrain_m: float = 0.0
-    """Height h of the terrain z = h sin x, m, one an episode; 0 to 1."""
-    delay_s: float = 0.0
-    """Age of the state that policy and PD loop see, s, one an episode; whole physics steps, rounded up;
-    0 to 0.1."""
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of range."""
-        for name, largest in LARGEST.items():
-            value = getattr(self, name)
-            if not 0 <= value <= largest:
-                raise ValueError(f"{name}={value} must be from 0 to {largest}.")
+    other."""
+    push_backward: Annotated[float, Range(0, 1)] = 1.0
+    """Factor on what a push has along -x: backward, robots bear only weaker pushes than in other directions."""
+    push_pause_s: Annotated[float, Range(0, 60)] = 4.0
+    """Time from the start of the episode, or from the end of the push before, to a push, s."""
+    terrain_m: Annotated[float, Range(0, 1)] = 0.0
+    """Height h of the terrain z = h sin x, m, one an episode."""
+    delay_s: Annotated[float, Range(0, 0.1)] = 0.0
+    """Age of the state that policy and PD loop see, s, one an episode; whole physics steps, rounded up."""
 
     @property
     def active(self) -> bool:

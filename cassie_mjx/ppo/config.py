@@ -5,18 +5,19 @@ A configuration that exists is valid: its constructor checks every value and say
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
+
+from cassie_mjx.configuration.values import Checked, Range, shown
 
 SCHEDULES = ("constant", "linear", "exponential")
 
 
-def _require(config: object, name: str, valid: bool, expected: str) -> None:
-    if not valid:
-        raise ValueError(f"{name} is {getattr(config, name)!r}; it must be {expected}.")
+MOST_LAYERS = 64
+"""Hidden layers of a network."""
 
 
 @dataclass(frozen=True)
-class PPOConfig:
+class PPOConfig(Checked):
     """Proximal policy optimisation with a fixed-width Gaussian policy; the defaults are the `parallel` preset.
 
     Sources: *paper* is Xie et al., "Feedback Control For Cassie With Deep Reinforcement Learning" (IROS 2018).
@@ -27,55 +28,55 @@ class PPOConfig:
 
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"actor_schedule": SCHEDULES, "critic_schedule": SCHEDULES}
 
-    num_robots: int = 128
+    num_robots: Annotated[int, Range(1, 1_000_000)] = 128
     """Robots that step side by side, over all devices."""
 
-    num_steps: int = 32
+    num_steps: Annotated[int, Range(1, 100_000)] = 32
     """Control steps that each robot takes in one iteration."""
 
-    iterations: int = 300
+    iterations: Annotated[int, Range(1, 10_000_000)] = 300
     """Iterations (collect, then update) of a whole run; linear schedules and the narrowing of the noise end here."""
 
-    updates_per_iteration: int = 40
+    updates_per_iteration: Annotated[int, Range(1, 1_000_000)] = 40
     """Minibatch updates in one iteration; 40 updates of 512 samples out of 128 x 32 are 5 epochs."""
 
-    minibatch_size: int = 512
+    minibatch_size: Annotated[int, Range(1, 1_000_000_000)] = 512
     """Samples in one minibatch, over all devices."""
 
-    hidden_sizes: tuple[int, ...] = (256, 256)
+    hidden_sizes: tuple[Annotated[int, Range(1, 65_536)], ...] = (256, 256)
     """Widths of the ReLU layers, the same for actor and critic (*paper*)."""
 
     privileged_critic: bool = True
     """Whether the critic sees what robots do not sense: how far they are ahead of the reference motion."""
 
-    actor_output_scale: float = 0.01
+    actor_output_scale: Annotated[float, Range(1e-6, 1)] = 0.01
     """Factor on the He-initialised last layer of the actor: small, so that training starts at the reference motion.
 
     The paper prints no initialisation; every preset uses this one.
     """
 
-    action_std: float = 0.134
+    action_std: Annotated[float, Range(1e-4, 10)] = 0.134
     """Standard deviation of the exploration noise on every action at iteration 0, rad (*paper*: covariance 0.018)."""
 
-    final_action_std: float | None = 0.1
+    final_action_std: Annotated[float, Range(1e-4, 10)] | None = 0.1
     """What it has become, linearly, by the last iteration, rad; null for what it was.
 
     Noise slows robots down: a policy that keeps pace with it is too fast without.
     """
 
-    gamma: float = 0.99
+    gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per control step. The paper prints none; 0.99 looks 100 steps or 3.2 s ahead, about four strides."""
 
-    gae_lambda: float = 0.95
+    gae_lambda: Annotated[float, Range(0, 1)] = 0.95
     """Lambda of generalised advantage estimation; 1 gives the Monte-Carlo return with the critic's value at the cut."""
 
-    clip_epsilon: float = 0.2
+    clip_epsilon: Annotated[float, Range(1e-4, 100)] = 0.2
     """Half-width of the interval around 1 in which the probability ratio still earns surrogate (*paper*)."""
 
     normalize_advantage: bool = True
     """Whether advantages are brought to mean 0 and standard deviation 1 over the whole batch of an iteration."""
 
-    actor_learning_rate: float = 3e-4
+    actor_learning_rate: Annotated[float, Range(1e-9, 1)] = 3e-4
     """Adam step size of the actor at iteration 0."""
 
     actor_schedule: str = "constant"
@@ -84,68 +85,44 @@ class PPOConfig:
     Constant, for as the noise narrows, the mean moves less for the same divergence.
     """
 
-    critic_learning_rate: float = 1e-3
+    critic_learning_rate: Annotated[float, Range(1e-9, 1)] = 1e-3
     """Adam step size of the critic at iteration 0."""
 
     critic_schedule: str = "linear"
     """How the critic's step size falls over iterations: constant, linear or exponential."""
 
-    learning_rate_decay: float = 0.99
+    learning_rate_decay: Annotated[float, Range(0.01, 1)] = 0.99
     """Factor an iteration of the exponential schedule (*paper*: 1 % an iteration)."""
 
-    learning_rate_floor: float = 0.1
+    learning_rate_floor: Annotated[float, Range(0, 1)] = 0.1
     """Fraction of the initial step size below which no schedule goes (*paper*: 1e-4 of 1e-3 and 1e-3 of 1e-2)."""
 
-    target_kl: float | None = 0.05
+    target_kl: Annotated[float, Range(1e-6, 100)] | None = 0.05
     """KL divergence of one iteration, nats, that the actor's step size is steered to; null steers nothing."""
 
-    max_grad_norm: float | None = 1.0
+    max_grad_norm: Annotated[float, Range(1e-6, 1_000_000)] | None = 1.0
     """Euclidean norm to which the actor's gradient is cut back; null never cuts it."""
 
-    adam_epsilon: float = 1e-5
+    adam_epsilon: Annotated[float, Range(1e-12, 1)] = 1e-5
     """Adam's epsilon, for actor and critic."""
 
-    normalizer_samples: int = 50_000
+    normalizer_samples: Annotated[int, Range(1, 100_000_000)] = 50_000
     """States of a random policy from which mean and standard deviation of the inputs are estimated (*paper*)."""
 
     def __post_init__(self) -> None:
-        """Check every field; a list of hidden sizes, as a command line gives it, becomes a tuple."""
+        """Check every field; a list of hidden sizes, as a program may give it, becomes a tuple."""
         object.__setattr__(self, "hidden_sizes", tuple(self.hidden_sizes))
-        for name in (
-            "num_robots",
-            "num_steps",
-            "iterations",
-            "updates_per_iteration",
-            "minibatch_size",
-            "normalizer_samples",
-        ):
-            _require(self, name, getattr(self, name) >= 1, "at least 1")
-        for name in (
-            "action_std",
-            "clip_epsilon",
-            "actor_learning_rate",
-            "critic_learning_rate",
-            "adam_epsilon",
-        ):
-            _require(self, name, getattr(self, name) > 0, "greater than 0")
-        for name in ("target_kl", "max_grad_norm"):
-            value = getattr(self, name)
-            _require(self, name, value is None or value > 0, "greater than 0, or null to switch it off")
-        last = self.final_action_std
-        narrows = last is None or 0 < last <= self.action_std
-        _require(
-            self, "final_action_std", narrows, f"greater than 0 and at most action_std, {self.action_std}, or null"
-        )
-        for name in ("gamma", "gae_lambda", "learning_rate_floor"):
-            _require(self, name, 0 <= getattr(self, name) <= 1, "from 0 to 1")
-        for name in ("actor_output_scale", "learning_rate_decay"):
-            _require(self, name, 0 < getattr(self, name) <= 1, "greater than 0 and at most 1")
-        for name in ("actor_schedule", "critic_schedule"):
-            _require(self, name, getattr(self, name) in SCHEDULES, f"one of {', '.join(SCHEDULES)}")
-        valid_sizes = len(self.hidden_sizes) >= 1 and all(size >= 1 for size in self.hidden_sizes)
-        _require(self, "hidden_sizes", valid_sizes, "one or more positive widths")
-        fits = self.minibatch_size <= self.num_samples
-        _require(self, "minibatch_size", fits, f"at most num_robots x num_steps = {self.num_samples}")
+        super().__post_init__()
+        if not 1 <= len(self.hidden_sizes) <= MOST_LAYERS:
+            raise ValueError(f"hidden_sizes={shown(self.hidden_sizes)} must be 1 to {MOST_LAYERS} widths.")
+        if self.final_action_std is not None and self.final_action_std > self.action_std:
+            raise ValueError(
+                f"final_action_std={self.final_action_std} must be at most action_std={self.action_std}, or null."
+            )
+        if self.minibatch_size > self.num_samples:
+            raise ValueError(
+                f"minibatch_size={self.minibatch_size} must be at most num_robots x num_steps = {self.num_samples}."
+            )
 
     @property
     def num_samples(self) -> int:

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from mujoco.rendering.classic import gl_context
 
+from cassie_mjx import starting
 from cassie_mjx.robot.ground import set_terrain
 from cassie_mjx.robot.model import xml_path
 
@@ -36,23 +37,26 @@ def choose_backend() -> None:
     Raises:
       ValueError: it cannot draw.
     """
-    chosen = os.environ.get("MUJOCO_GL")
+    chosen = starting.mujoco_gl()
     if not chosen and sys.platform != "linux":
         return
-    for backend in (chosen,) if chosen else BACKENDS:
-        environment = {**os.environ, "MUJOCO_GL": backend}
-        # In a process of its own: PyOpenGL keeps the first backend that it meets, even one that fails.
-        probe = subprocess.run([sys.executable, "-c", _PROBE], env=environment, capture_output=True, check=False)
-        if probe.returncode == 0:
-            os.environ["MUJOCO_GL"] = backend
-            importlib.reload(gl_context)
-            return
-    if chosen:
-        raise ValueError(f"MUJOCO_GL={chosen} does not work here; unset it, and EGL and OSMesa are tried.")
-    raise ValueError(
-        "Drawing needs EGL or OSMesa, and neither works here; install libegl1 and libgl1-mesa-dri, or libosmesa6 "
-        "(so named in Debian and Ubuntu)."
-    )
+    working = chosen if chosen and _draws(chosen) else next(filter(_draws, BACKENDS), None)
+    if chosen and working not in (None, chosen):
+        raise ValueError(f"MUJOCO_GL={chosen} does not work here; MUJOCO_GL={working} does, or unset it.")
+    if not working:
+        raise ValueError(
+            "Drawing needs EGL or OSMesa, and neither works here; install libegl1 and libgl1-mesa-dri, or libosmesa6 "
+            "(so named in Debian and Ubuntu)."
+        )
+    os.environ["MUJOCO_GL"] = working
+    importlib.reload(gl_context)
+
+
+def _draws(backend: str) -> bool:
+    """Whether MuJoCo can draw by it, tried in a process of its own: PyOpenGL keeps the first, even one that fails."""
+    environment = {**os.environ, "MUJOCO_GL": backend}
+    probe = subprocess.run([sys.executable, "-c", _PROBE], env=environment, capture_output=True, check=False)
+    return probe.returncode == 0
 
 
 def open_renderer(scene: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer:

@@ -1,13 +1,16 @@
 """From MJCF to compiled models: which scene, rate and contacts, for MuJoCo C and for MJX."""
 
 import copy
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
+from typing import Annotated, ClassVar
 
 import mujoco
 import numpy as np
 
+from cassie_mjx.configuration.values import Checked, Range
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.mjcf import WALKING_PAIRS, differing, free_root, missing
 
@@ -16,28 +19,32 @@ SCENES = ("flat", "terrain")
 CONTACTS = ("walking", "full", "published")
 
 
+PhysicsHz = Annotated[int, Range(100, 20_000)]
+"""Physics steps a second."""
+
+
 @dataclass(frozen=True)
-class ModelConfig:
+class ModelConfig(Checked):
     """Which Cassie to compile."""
 
-    physics_hz: int = 2000
+    CHOICES: ClassVar[Mapping[str, Collection[str]]] = {"scene": SCENES, "contacts": CONTACTS}
+
+    physics_hz: PhysicsHz = 2000
     """Physics steps a second; a whole number of them must fit in the 32 ms of a control step."""
     scene: str = "flat"
     """"flat" or "terrain" (z = h sin x)."""
     contacts: str = "full"
     """"walking": the feet with the floor alone; "full": also shanks and pelvis with the floor, and leg with leg;
     "published": also the thighs with the floor, as in the published model."""
-    iterations: int = 100
+    iterations: Annotated[int, Range(1, 10_000)] = 100
     """Most iterations of the constraint solver (Newton); it stops earlier when converged."""
-    ls_iterations: int = 50
+    ls_iterations: Annotated[int, Range(1, 10_000)] = 50
     """Most iterations of each line search in the solver."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for a value that names no model."""
+        super().__post_init__()
         steps_per_control(self.physics_hz)
-        for name, value, valid in (("scene", self.scene, SCENES), ("contacts", self.contacts, CONTACTS)):
-            if value not in valid:
-                raise ValueError(f"{name}={value!r} is not known; choose one of {', '.join(valid)}.")
 
 
 def steps_per_control(physics_hz: float) -> int:

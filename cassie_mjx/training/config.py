@@ -2,17 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
 
 import jax
 
-from cassie_mjx.cli import check_choices
+from cassie_mjx.configuration.values import Checked, Range, Seed, label
 from cassie_mjx.envs.config import WALK_PRESETS, WalkConfig
 from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.physics.make import ENGINES
 from cassie_mjx.ppo import learner
 from cassie_mjx.ppo.config import PPO_PRESETS, PPOConfig
-from cassie_mjx.robot.model import CONTACTS, steps_per_control
+from cassie_mjx.robot.model import CONTACTS, PhysicsHz, steps_per_control
+from cassie_mjx.training.memory import check_memory
 
 PRESETS = {"walk": ("undisturbed", WALK_PRESETS), "ppo": ("parallel", PPO_PRESETS)}
 """Presets that a command line can choose from, and which is the default."""
@@ -38,7 +40,7 @@ def present_names(config: dict[str, Any]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class TrainConfig:
+class TrainConfig(Checked):
     """A training run."""
 
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"physics": ("auto", *ENGINES), "contacts": CONTACTS}
@@ -47,12 +49,12 @@ class TrainConfig:
     """Factor on the pelvis x of the reference motion, from "0x" to "4x"; "any" commands one after another."""
     physics: str = "auto"
     """"native": MuJoCo C on CPU threads; "mjx"; "auto": MJX if there is an accelerator."""
-    physics_hz: int | None = None
+    physics_hz: PhysicsHz | None = None
     """Physics steps a second in training; null for 500 on MuJoCo C and 1000 on MJX."""
     contacts: str = "full"
     """What can touch in training: "walking", the feet and the floor alone; "full", legs, shanks and pelvis too, as in
     every evaluation; "published", the thighs too."""
-    seed: int = 0
+    seed: Seed = 0
     """What all random numbers of the run come from."""
     reference: str = "walk"
     """Reference motion: a name that we ship, or a file."""
@@ -63,7 +65,7 @@ class TrainConfig:
     """The task."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """The learner: a preset (ppo=paper) and single values (ppo.gamma=0.98)."""
-    evaluate_every: int = 10
+    evaluate_every: Annotated[int, Range(1, 1_000_000)] = 10
     """Iterations between measurements of the return; each is followed by a checkpoint."""
     run_dir: str | None = None
     """Directory of the run; null for runs/<speed>-seed<seed>."""
@@ -74,21 +76,33 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         """Raise ValueError for a value out of range."""
+        super().__post_init__()
         speed_factors(self.speed)
-        check_choices(self)
+        for name in ("init", "run_dir"):
+            if getattr(self, name) == "":
+                raise ValueError(f"{name} is empty; name one, or null.")
         if self.physics_hz is not None:
             steps_per_control(self.physics_hz)
-        if self.evaluate_every < 1:
-            raise ValueError(f"evaluate_every={self.evaluate_every} must be at least 1.")
-        if not 0 <= self.seed < 2**32:
-            raise ValueError(f"seed={self.seed} must be from 0 to 2^32 - 1.")
+
+    @property
+    def folder(self) -> Path:
+        """Directory of the run."""
+        return Path(f"runs/{self.speed}-seed{self.seed}" if self.run_dir is None else self.run_dir)
+
+    def apart(self, swept: Mapping[str, str]) -> "TrainConfig":
+        """One combination of a sweep, with a directory of its own: its name has what `run_dir` would not tell."""
+        told = ("run_dir",) if self.run_dir else ("speed", "seed")
+        if name := label({key: value for key, value in swept.items() if key not in told}):
+            return replace(self, run_dir=f"{self.folder}-{name}")
+        return self
 
 
 def resolve_config(config: TrainConfig) -> TrainConfig:
     """The configuration with nothing left to choose: engine, rate and directory.
 
     Raises:
-      ValueError: the engine cannot use several processes, or the sizes do not divide among the devices.
+      ValueError: the engine cannot use several processes, the sizes do not divide among the devices, or the memory is
+        not enough.
     """
     accelerated = config.physics == "auto" and jax.default_backend() != "cpu"
     physics = ("mjx" if accelerated else "native") if config.physics == "auto" else config.physics
@@ -96,9 +110,6 @@ def resolve_config(config: TrainConfig) -> TrainConfig:
         learner.check_devices(config.ppo, jax.device_count())
     elif jax.process_count() > 1:
         raise ValueError("physics=native runs in one process; choose physics=mjx to train with several.")
-    return replace(
-        config,
-        physics=physics,
-        physics_hz=config.physics_hz or ENGINES[physics].training.physics_hz,
-        run_dir=config.run_dir or f"runs/{config.speed}-seed{config.seed}",
-    )
+    physics_hz = config.physics_hz or ENGINES[physics].training.physics_hz
+    check_memory(config.ppo, config.walk, physics, physics_hz)
+    return replace(config, physics=physics, physics_hz=physics_hz, run_dir=str(config.folder))

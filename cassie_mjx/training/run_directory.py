@@ -20,8 +20,9 @@ from cassie_mjx.agents.shipped import policy_path
 from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.motion.files import SHIPPED, load_motion
 from cassie_mjx.motion.reference import ReferenceMotion, stretch
+from cassie_mjx.physics.make import ENGINES
 from cassie_mjx.training import checkpoint, counters, devices, lock
-from cassie_mjx.training.config import TRAINING_HZ, TrainConfig, present_names
+from cassie_mjx.training.config import TrainConfig, present_names
 
 OWN = ("checkpoints", "metrics.jsonl", "best.npz", "last.npz", "tensorboard", "nan")
 """What a run writes besides its configuration."""
@@ -126,7 +127,9 @@ def _check_same(folder: Path, held: dict[str, Any], wanted: dict[str, Any], resu
     differing = {key for key in wanted if before[key] != wanted[key]}
     if resume:
         differing -= {key for key in differing if _may_change(key, held, wanted[key], begun)}
-    if {"physics", "physics_hz"} <= differing and TRAINING_HZ.get(before["physics"]) == before["physics_hz"]:
+    if {"physics", "physics_hz"} <= differing and ENGINES[before["physics"]].training.physics_hz == before[
+        "physics_hz"
+    ]:
         differing.remove("physics_hz")  # it follows from the engine
     if differing:
         settings = [_argument(key, before[key]) for key in wanted if key in differing]

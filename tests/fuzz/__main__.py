@@ -10,25 +10,27 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from cassie_mjx import cli
+from cassie_mjx.configuration.values import Checked, Range, Seed
 from tests.fuzz import files, kills, values
 from tests.fuzz.outcome import FAULTS, Outcome, summary
 
 
 @dataclass(frozen=True)
-class FuzzConfig:
+class FuzzConfig(Checked):
     """How much to try."""
 
-    files: int = 2000
+    files: Annotated[int, Range(0, 10**9)] = 2000
     """Damages to each kind of file."""
-    values: int = 500
+    values: Annotated[int, Range(0, 10**9)] = 500
     """Wrong values to each command, which is not run."""
-    runs: int = 20
+    runs: Annotated[int, Range(0, 10**9)] = 20
     """Wrong values to each command that is run to its end."""
-    kills: int = 20
+    kills: Annotated[int, Range(0, 10**9)] = 20
     """Trainings that are stopped at random moments until they are done."""
-    seed: int = 0
+    seed: Seed = 0
     """What all random choices come from."""
 
 
