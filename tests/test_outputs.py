@@ -101,7 +101,7 @@ def test_everything_that_has_out_has_overwrite():
     for source, keys in found:
         assert "overwrite" in keys
         assert "config.overwrite)" in source
-        assert "check_writable" not in source.replace("cli.check_writable(config.readme)", "")
+        assert "check_writable" not in source.replace("cli.check_writable(name)", "")
 
 
 def test_a_full_disk_loses_no_result(tmp_path, monkeypatch, capsys):
@@ -179,7 +179,7 @@ def test_a_policy_goes_where_no_other_file_is_lost(tmp_path, capsys):
     for _ in range(2):
         export.main(ExportConfig(run=str(source), out=str(out)))
         assert out.read_bytes() == source.read_bytes()
-    with pytest.raises(ValueError, match=r"out=notes\.md is no policy file; name one that ends in \.npz"):
+    with pytest.raises(ValueError, match=r"out=notes\.md is no policy's file; name one that ends in \.npz or \.onnx"):
         ExportConfig(run=str(source), out="notes.md")
     (tmp_path / "config.json").write_text("{}")
     with pytest.raises(ValueError, match="exists and is not a policy of ours outside a run"):

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from cassie_mjx.agents.numpy_policy import FORMAT, VERSION, NumpyPolicy
+from cassie_mjx.agents.numpy_policy import FORMAT, NumpyPolicy
+from cassie_mjx.files.archive import VERSION
 from cassie_mjx.files.atomic import write_bytes
 from cassie_mjx.robot import cassie
 
