@@ -28,8 +28,13 @@ LAYERS = (
 # What needs NumPy alone, so that a user's simulator does too.
 LIGHT = ("robot.cassie", "robot.arrays", "robot.rotation", "motion.reference", "motion.command", "control", "reporting")
 # What an extra is for: these alone import what it installs.
-VIEWS = {"agents/onnx_file.py": "onnx", "envs/gymnasium_env.py": "gymnasium"}
-OWNERS = packages_distributions()
+VIEWS = {
+    "agents/onnx_file.py": "onnx",
+    "envs/gymnasium_env.py": "gymnasium",
+    "envs/playground_env.py": "playground",
+}
+# Playground is not among what the tests need.
+OWNERS = {"mujoco_playground": ["playground"], **packages_distributions()}
 HEAVY = {"jax", "flax", "mujoco", "brax", "optax", "orbax"}
 
 
