@@ -38,8 +38,13 @@ LIGHT = (
     "reporting",
 )
 # What an extra is for: these alone import what it installs.
-VIEWS = {"agents/onnx_file.py": "onnx", "envs/gymnasium_env.py": "gymnasium"}
-OWNERS = packages_distributions()
+VIEWS = {
+    "agents/onnx_file.py": "onnx",
+    "envs/gymnasium_env.py": "gymnasium",
+    "envs/playground_env.py": "playground",
+}
+# Playground is not among what the tests need.
+OWNERS = {"mujoco_playground": ["playground"], **packages_distributions()}
 HEAVY = {"jax", "flax", "mujoco", "brax", "optax", "orbax"}
 
 

@@ -227,3 +227,23 @@ except ImportError as error:
 """
     (said,) = python(program)
     assert said == "Gymnasium's view needs the package gymnasium; pip install 'cassie-mjx[gymnasium]'."
+
+
+@pytest.mark.slow
+def test_a_foreign_learner_learns_on_it():
+    """The cross-entropy method finds ten constant residuals that keep robots nearer to the reference."""
+    robots, elite, random = 64, 12, np.random.default_rng(0)
+    envs = many(robots)
+    mean, spread, returns = np.zeros(10), np.full(10, 0.1), []
+    for generation in range(8):
+        chosen = random.normal(mean, spread, (robots, 10)).astype(np.float32)
+        envs.reset(seed=generation)
+        total, going = np.zeros(robots), np.ones(robots, bool)
+        for _ in range(15):
+            _, reward, terminated, truncated, _ = envs.step(chosen)
+            total += reward * going
+            going &= ~(terminated | truncated)
+        best = chosen[np.argsort(total)[-elite:]]
+        mean, spread = best.mean(axis=0), best.std(axis=0)
+        returns.append(total.mean())
+    assert np.mean(returns[-2:]) > returns[0] + 1, returns

@@ -53,12 +53,11 @@ def contents(folder):
 
 
 def test_a_learner_that_is_not_finite_stops_the_run_and_leaves_its_files(tmp_path):
-    task = {"ppo": replace(TINY, iterations=4), "evaluate_every": 1}
-    running = session(tmp_path, **task)
+    running = session(tmp_path, evaluate_every=1)
     iterate, before = running._iterate, {}
 
     def poison():
-        if running.done == 2:
+        if running.done == 1:
             before.update(contents(tmp_path))
             critic = running.run.learner.critic
             layer = next(iter(critic))
@@ -67,7 +66,7 @@ def test_a_learner_that_is_not_finite_stops_the_run_and_leaves_its_files(tmp_pat
         iterate()
 
     running._iterate = poison
-    sentence = "stopped being finite in iteration 3, of which nothing is kept; the checkpoint of iteration 2 and"
+    sentence = "stopped being finite in iteration 2, of which nothing is kept; the checkpoint of iteration 1 and"
     with pytest.raises(ValueError, match=sentence):
         running.train()
     assert contents(tmp_path) == before

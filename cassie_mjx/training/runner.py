@@ -257,12 +257,15 @@ def train_policy(config: TrainConfig) -> Path:
     """
     # On few cores, XLA's threads take time from the physics' threads; it reads this when it makes its first array.
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
-    # Divergences are counted, and the first is kept; MuJoCo would print hundreds of lines about each.
-    mujoco.set_mju_user_warning(lambda _: None)
     if config.distributed:
         devices.join()
     config, console = resolve_config(config), Console(quiet=not devices.is_first())
-    with lock.hold(Path(str(config.run_dir)), console.print):
-        run = Runner(config, console)
-        run.train()
+    # Divergences are counted, and the first is kept; MuJoCo would print hundreds of lines about each.
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        with lock.hold(Path(str(config.run_dir)), console.print):
+            run = Runner(config, console)
+            run.train()
+    finally:
+        mujoco.set_mju_user_warning(None)
     return run.folder
