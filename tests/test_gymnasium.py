@@ -202,7 +202,11 @@ def test_bad_input_is_one_sentence(given, sentence):
 def test_a_step_that_cannot_be_is_one_sentence(envs):
     with pytest.raises(gymnasium.error.ResetNeeded, match=r"call reset\(\) first"):
         many().step(np.zeros((2, 10)))
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"call reset\(\) first"):
+        gymnasium.make(ID, render_mode="rgb_array").unwrapped.render()
     envs.reset(seed=0)
+    with pytest.raises(ValueError, match=r"The actions of robots \[1\] are not finite; the learner has diverged."):
+        envs.step(np.where(np.arange(2)[:, None] == 1, np.nan, np.zeros((2, 10))))
     with pytest.raises(ValueError, match=r"An action of shape \(2, 9\) was given; 2 robots take \(2, 10\)."):
         envs.step(np.zeros((2, 9)))
 

@@ -57,13 +57,14 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """
         self.render_mode = _checked(render_mode)
         self._robots = _Robots(1, speed, config, physics_hz, motion)
+        self._drawn: WalkState | None = None
         self.observation_space, self.action_space = self._robots.spaces
 
     def reset(self, *, seed: int | None = None, options: Infos | None = None) -> tuple[np.ndarray, Infos]:
         """A new episode near the reference motion; of one seed always the same."""
         super().reset(seed=seed)
-        self._drawn = self._robots.reset(self.np_random)
-        return _copied(self._drawn.observation)[0], {}
+        self._drawn = state = self._robots.reset(self.np_random)
+        return _copied(state.observation)[0], {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, Infos]:
         """One control step of 32 ms."""
@@ -76,7 +77,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """A frame [480, 640, 3], uint8, if `render_mode` is "rgb_array"; of the last moment before an end."""
-        return self._robots.frames(self._drawn)[0] if self.render_mode else None
+        return self._robots.frames(self._drawn or self._robots.state)[0] if self.render_mode else None
 
     def close(self) -> None:
         """Close the renderers; a process that ends with open ones complains."""
@@ -168,6 +169,10 @@ class _Robots:
         expected = (self._env.robots, cassie.NU)
         if actions.shape != expected:
             raise ValueError(f"An action of shape {actions.shape} was given; {expected[0]} robots take {expected}.")
+        # MuJoCo would put zeros in their place, and the robots would walk on.
+        if not np.isfinite(actions).all():
+            lost = np.flatnonzero(~np.isfinite(actions).all(axis=1)).tolist()
+            raise ValueError(f"The actions of robots {lost} are not finite; the learner has diverged.")
         before = self.state
         key = jax.random.fold_in(self._step_key, self._steps)
         self._state, self._steps = self._env.step(before, actions.astype(np.float32), key), self._steps + 1
