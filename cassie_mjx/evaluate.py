@@ -1,4 +1,4 @@
-"""Measure a walker: `python -m cassie_mjx.evaluate policy=1x suite=all out=FILE.json`.
+"""Measure an agent: `python -m cassie_mjx.evaluate policy=1x suite=all out=FILE.json`.
 
 What is measured and how, `cassie_mjx.suites` says. Nothing is drawn at random: the same command gives the same figures.
 """
@@ -50,12 +50,12 @@ def main(config: EvaluateConfig) -> None:
             progress = partial(_show, status, suite)
             result = SUITES[suite](agent, EvalSetup(config.physics, config.long, progress))
         seconds[suite] = round(time.perf_counter() - began, 1)
-        found = [{"subject": agent.name, **metric._asdict()} for metric in result.metrics]
+        found = [{"agent": agent.name, **metric._asdict()} for metric in result.metrics]
         console.print(table(f"{agent.name}: {suite}", found))
         rows += found
         if result.cells is not None:
             cells[suite] = result.cells
-    provenance = cli.provenance(**asdict(config), subject=dict(agent.provenance), seconds=seconds)
+    provenance = cli.provenance(**asdict(config), agent=dict(agent.provenance), seconds=seconds)
     cli.write_result(out, {"rows": rows, **cells, "provenance": provenance})
 
 

@@ -1,8 +1,8 @@
 """Which parts of Cassie can touch in walking: `python -m experiments.contacts out=FILE.json`.
 
-Both heuristic walkers walk with every contact of the published model, undisturbed and recovering from pushes in four
-directions at eight phases of the stride. For each pair of geoms the smallest distance over all robots that stayed up
-says whether the pair is needed.
+Both heuristic controllers walk with every contact of the published model, undisturbed and recovering from pushes in
+four directions at eight phases of the stride. For each pair of geoms the smallest distance over all robots that stayed
+up says whether the pair is needed.
 """
 
 from dataclasses import dataclass
@@ -83,7 +83,7 @@ def main(config: ContactsConfig) -> None:
                 kept = "walking" if pair in WALKING_PAIRS else "full" if "hip-pitch" not in pair else "published"
                 rows.append(
                     {
-                        "subject": f"controller:{name}",
+                        "agent": f"controller:{name}",
                         "push_N": push_n,
                         "pair": pair,
                         "smallest_distance_mm": round(1000 * distance, 1),

@@ -84,7 +84,7 @@ class Ride(NamedTuple):
             low, high = up.mean(axis=0).min(), up.mean(axis=0).max()
             names = ("speed_error_rms_mps", "lowest_speed_mps", "highest_speed_mps")
             figures += [(name, float(value), "m/s") for name, value in zip(names, (error, low, high), strict=True)]
-        return [{"subject": agent, "quantity": name, "value": v, "unit": unit, "n": n} for name, v, unit in figures]
+        return [{"agent": agent, "quantity": name, "value": v, "unit": unit, "n": n} for name, v, unit in figures]
 
     def curve(self) -> dict[str, list[float]]:
         """What the picture shows, every 0.128 s: commanded speed, and mean, least and greatest of the robots up."""
@@ -111,7 +111,7 @@ def ride(blend: BlendAgent, starts: int = STARTS) -> Ride:
 def rough_ground(policies: Sequence[PolicyAgent]) -> list[dict[str, Any]]:
     """Rows of the terrain that policies and their adaptive blend survive."""
     return [
-        {"subject": agent.name, **metric._asdict()}
+        {"agent": agent.name, **metric._asdict()}
         for agent in (*policies, BlendAgent(policies, "adaptive"))
         for metric in suites.terrain(agent, EvalSetup()).metrics
     ]
@@ -144,7 +144,7 @@ def main(config: InterpolationConfig) -> None:
         rows += rough_ground(policies[1:3])
         console.print(*rows[-3:], sep="\n")
     curves = {name: walk.curve() for name, walk in rides.items()}
-    provenance = cli.provenance(**asdict(config), subject={policy.name: policy.provenance for policy in policies})
+    provenance = cli.provenance(**asdict(config), agent={policy.name: policy.provenance for policy in policies})
     cli.write_result(out, {"rows": rows, "rides": curves, "provenance": provenance})
     if plot:
         pictures.save_figure(config.plot, plot, draw(rides))

@@ -1,7 +1,7 @@
 """Walk from perturbed starts: `python -m experiments.perturbed_starts out=FILE.json`.
 
-Each heuristic walker starts from random poses and velocities around standing still, the loops of the mechanism closed,
-and walks for a minute in MuJoCo C at 2 kHz.
+Each heuristic controller starts from random poses and velocities around standing still, the loops of the mechanism
+closed, and walks for a minute in MuJoCo C at 2 kHz.
 """
 
 from dataclasses import asdict, dataclass
@@ -72,7 +72,7 @@ def perturbed(config: PerturbedConfig, physics: NativePhysics) -> tuple[np.ndarr
 
 
 def walk(name: str, config: PerturbedConfig) -> EpisodeResult:
-    """How the walker `name` of `CONTROLLERS` did from each of the starts, [robots]."""
+    """How the controller `name` of `CONTROLLERS` did from each of the starts, [robots]."""
     physics, agent = NativePhysics(load_model(ModelConfig())), HeuristicAgent(name)
     starts = begin(agent, physics, *perturbed(config, physics))
     return run_trials(agent, physics, starts, [Trial(k, config.seconds) for k in range(config.robots)])
@@ -96,7 +96,7 @@ def main(config: PerturbedConfig) -> None:
     for name in CONTROLLERS:
         for quantity, value, unit in figures(walk(name, config)):
             figure = {"quantity": quantity, "value": value, "unit": unit, "n": config.robots}
-            rows.append({"subject": f"controller:{name}", **figure})
+            rows.append({"agent": f"controller:{name}", **figure})
             cli.console().print(rows[-1])
     cli.write_result(out, {"rows": rows, "provenance": cli.provenance(**asdict(config))})
 

@@ -1,4 +1,4 @@
-"""Record the reference motion from the heuristic walker: `python -m experiments.record_reference out=FILE.npz`.
+"""Record the reference motion from the heuristic controller: `python -m experiments.record_reference out=FILE.npz`.
 
 Robots that aim at different speeds walk side by side from standing, in MuJoCo C at 2 kHz. After they have settled, one
 stride is kept of the robot whose stride is nearest to half a metre, and made exactly periodic and symmetric. Nothing in
@@ -48,7 +48,7 @@ class RecordConfig(Checked):
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"preset": tuple(CONTROLLERS)}
 
     preset: str = "compliant"
-    """"stiff" or "compliant", a preset of the walker."""
+    """"stiff" or "compliant", a preset of the controller."""
     speeds: tuple[Speed, ...] = (0.46, 0.49, 0.52, 0.55, 0.58, 0.61, 0.64, 0.67, 0.70, 0.73, 0.76, 0.79)
     """Speeds to aim at instead of the preset's own, one robot each, m/s."""
     strides: Annotated[int, Range(43, 10_000)] = 60

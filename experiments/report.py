@@ -18,7 +18,7 @@ from cassie_mjx.reporting.page import drawn, section, table
 from cassie_mjx.reporting.results import Result, blaming, find
 from cassie_mjx.reporting.tables import NO_FIGURE, Table, markdown
 from experiments import tables
-from experiments.tables import walkers
+from experiments.tables import agents
 
 MARKERS = ("<!-- results, written by `make report` -->", "<!-- end of results -->")
 
@@ -76,10 +76,10 @@ def whole_page(folder: Path) -> str:
 
 def compared(folder: Path) -> str:
     """The tables beside the paper's, and every figure of every seed."""
-    results = [result for _, found in walkers(folder) for result in found]
+    results = [result for _, found in agents(folder) for result in found]
     parts = [table(tables.beside_the_paper(folder))]
     if results:
-        parts.append(f"<details><summary>Every figure of every walker</summary>{table(all_figures(results))}</details>")
+        parts.append(f"<details><summary>Every figure of every agent</summary>{table(all_figures(results))}</details>")
     return section("Beside the paper", DEFINITIONS, "".join(parts), results)
 
 
@@ -114,10 +114,10 @@ def learned(folder: Path) -> list[str]:
 
 def pushed(folder: Path) -> str:
     """Polar maps of pushes survived, all to the same scale."""
-    found = walkers(folder, "map")
-    maps = [(walker, len(results), mean_map(folder, results)) for walker, results in found]
+    found = agents(folder, "map")
+    maps = [(agent, len(results), mean_map(folder, results)) for agent, results in found]
     reach_n = max((shares.farthest_n for *_, shares in maps), default=0)
-    shown = [(plots.push_map(shares, reach_n), f"{walker}, n = {n}.") for walker, n, shares in maps]
+    shown = [(plots.push_map(shares, reach_n), f"{agent}, n = {n}.") for agent, n, shares in maps]
     text = "Share of 8 phases at which a push was survived, mean over n policies. Dashed: the limits of the paper's, N."
     command = "python -m cassie_mjx.evaluate policy=1x suite=map out=experiments/results/map/1x-seed0.json"
     return section("Pushes from all sides", text, drawn(shown), [r for _, results in found for r in results], command)
@@ -140,23 +140,23 @@ def mean_map(folder: Path, results: Sequence[Result]) -> plots.PushMap:
 
 def survived(folder: Path) -> str:
     """Share of robots that stay up over the height of the terrain, and over the delay of the senses."""
-    found = walkers(folder, "survival")
+    found = agents(folder, "survival")
     shown = []
     for quantity, label, paper in (
         ("terrain_survived", "height h of the terrain z = h sin x, m", [("paper: controller", 0.07), ("policy", 0.15)]),
         ("delay_survived", "age of what policy and PD loop see, ms", [("paper: walks", 5), ("falls", 10)]),
     ):
-        series = [survival_series(folder, walker, results, quantity) for walker, results in found]
+        series = [survival_series(folder, agent, results, quantity) for agent, results in found]
         if series:
             shown.append((plots.survival(series, label, paper), "Height of a band: share of the starts up after 10 s."))
     text = (
-        "Blind over terrain, and with old senses: the share of starting phases from which a walker stays up for 10 s."
+        "Blind over terrain, and with old senses: the share of starting phases from which an agent stays up for 10 s."
     )
     command = "python -m experiments.survival policy=1x out=experiments/results/survival/1x-seed0.json"
     return section("Terrain and delay", text, drawn(shown), [r for _, results in found for r in results], command)
 
 
-def survival_series(folder: Path, walker: str, results: Sequence[Result], quantity: str) -> plots.Series:
+def survival_series(folder: Path, agent: str, results: Sequence[Result], quantity: str) -> plots.Series:
     """The mean over results, one a seed, of the shares that stay up at each level."""
     levels, shares = [], []
     for result in results:
@@ -168,7 +168,7 @@ def survival_series(folder: Path, walker: str, results: Sequence[Result], quanti
             shares.append([row["value"] for row in cells])
             if levels[-1] != levels[0]:
                 raise ValueError(f"{quantity} at other levels than those of the first seed")
-    return plots.Series(walker, levels[0], np.mean(shares, axis=0).tolist())
+    return plots.Series(agent, levels[0], np.mean(shares, axis=0).tolist())
 
 
 def strode(folder: Path) -> str:

@@ -80,7 +80,7 @@ def single_speeds(config: SpeedsConfig) -> list[tuple[dict[str, Any], PolicyAgen
       ValueError: one of them is not there, or its run is unfinished or was trained otherwise than the study trains it.
     """
     if not config.runs:
-        return [({"subject": name}, make_policy_agent(name)) for name in config.policies]
+        return [({"agent": name}, make_policy_agent(name)) for name in config.policies]
     found = []
     for name, seed in product(config.policies, config.training_seeds):
         folder = Path(config.runs) / f"{name}-seed{seed}"
@@ -90,7 +90,7 @@ def single_speeds(config: SpeedsConfig) -> list[tuple[dict[str, Any], PolicyAgen
             raise ValueError(f"There is no run {folder}; make it with {command}.")
         policy = make_policy_agent(str(folder))
         learning.check(folder, VARIANTS[name], seed)
-        found.append(({"subject": name, "seed": seed}, policy))
+        found.append(({"agent": name, "seed": seed}, policy))
     return found
 
 
@@ -163,7 +163,7 @@ def main(config: SpeedsConfig) -> None:
     if config.any_speed:
         free = make_policy_agent(config.any_speed)
         told = [make_policy_agent(config.any_speed, f"{factor:.3g}x") for factor in COMMANDS]
-        agents += [({"subject": policy.name}, policy) for policy in told]
+        agents += [({"agent": policy.name}, policy) for policy in told]
         origins[free.name] = free.provenance
         walk = follow(free, profile(config.profile_seed))
         rows += walk.rows(f"{config.any_speed} profile")
@@ -171,7 +171,7 @@ def main(config: SpeedsConfig) -> None:
         figures = keep(agent)
         rows += [whose | figure for figure in figures]
         console.print(*whose.values(), {figure["quantity"]: round(figure["value"], 3) for figure in figures})
-    provenance = cli.provenance(**asdict(config), subject=origins)
+    provenance = cli.provenance(**asdict(config), agent=origins)
     result = {"rows": rows, "provenance": provenance}
     cli.write_result(out, result | ({"profile": walk.curve()} if walk else {}))
     if plot:

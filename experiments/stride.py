@@ -90,12 +90,12 @@ def main(config: StrideConfig) -> None:
     feet = [{side: placements(path[:, k]) for k, side in enumerate(cassie.SIDES)} for path in points]
     error = np.abs(np.subtract(*both)[:samples, cassie.ACTIVE_QPOS])
     rows = [
-        {"subject": policy.name, "quantity": quantity, "value": float(value), "unit": "rad", "n": 1}
+        {"agent": policy.name, "quantity": quantity, "value": float(value), "unit": "rad", "n": 1}
         for quantity, value in (("joint_error_mean_rad", error.mean()), ("joint_error_max_rad", error.max()))
     ]
     cli.console().print(*rows, sep="\n")
     curves = {"time_s": (CONTROL_PERIOD_S * np.arange(samples + 1)).round(3).tolist(), "joints": beside(*angles)}
-    provenance = cli.provenance(**asdict(config), subject=dict(policy.provenance))
+    provenance = cli.provenance(**asdict(config), agent=dict(policy.provenance))
     cli.write_result(out, {"rows": rows, **curves, "feet": beside(*feet), "provenance": provenance})
 
 

@@ -62,7 +62,7 @@ def delay(agent: Agent, setup: EvalSetup) -> list[dict[str, Any]]:
 def rows(name: str, quantity: str, level_unit: str, levels: Sequence[float], up: np.ndarray) -> list[dict[str, Any]]:
     """A row for each level of a scenario, from whether the robots stayed up, [level x start]."""
     shares = up.reshape(len(levels), -1)
-    row = {"subject": name, "quantity": quantity, "unit": "1", "n": shares.shape[1], "level_unit": level_unit}
+    row = {"agent": name, "quantity": quantity, "unit": "1", "n": shares.shape[1], "level_unit": level_unit}
     return [
         row | {"level": level, "value": float(share)} for level, share in zip(levels, shares.mean(axis=1), strict=True)
     ]
@@ -77,7 +77,7 @@ def main(config: SurvivalConfig) -> None:
         found = [*terrain(agent, setup), *delay(agent, setup)]
     for row in found:
         console.print(f"{row['quantity']:17} {row['level']:5g} {row['level_unit']:2} {row['value']:.2f}")
-    provenance = cli.provenance(**asdict(config), subject=dict(agent.provenance))
+    provenance = cli.provenance(**asdict(config), agent=dict(agent.provenance))
     cli.write_result(out, {"rows": found, "provenance": provenance})
 
 

@@ -12,18 +12,18 @@ EVALUATE = "`python -m cassie_mjx.evaluate policy=NAME`, or `policy=runs/studies
 RETURNS = "`policy=controller:NAME` is a controller; it imitates nothing, so it has no return."
 
 
-WALKERS = {
+AGENTS = {
     "compliant": "controller_compliant.json",
     "stiff": "controller_stiff.json",
     "1x": "evaluate/1x-seed*.json",
     "1x-exact-starts": "evaluate/1x-exact-starts-seed*.json",
     "1x-robust": "evaluate/1x-robust-seed*.json",
 }
-"""Our walkers, and the glob pattern of their evaluations: a policy has one for each seed that it was trained with."""
+"""Our agents, and the glob pattern of their evaluations: a policy has one for each seed that it was trained with."""
 
 
 ALL_SPEEDS = {
-    "1x": WALKERS["1x"],
+    "1x": AGENTS["1x"],
     "any speed=1x": "evaluate/any-1x-seed*.json",
     "2x": "evaluate/2x-seed*.json",
     "any speed=2x": "evaluate/any-2x-seed*.json",
@@ -36,28 +36,28 @@ STEPS = {
 """The same for policies that learned one step of the stride, the other being its mirror image, beside those of both."""
 
 
-def walkers(folder: Path, measurement: str = "") -> list[tuple[str, list[Result]]]:
-    """The walkers that have been evaluated or, if one is named, been through another measurement, with the results.
+def agents(folder: Path, measurement: str = "") -> list[tuple[str, list[Result]]]:
+    """The agents that have been evaluated or, if one is named, been through another measurement, with the results.
 
     Those of other measurements have the names of the evaluations, in a folder of the measurement's name.
     """
-    return matching(folder, {w: f"{measurement}/{Path(p).name}" if measurement else p for w, p in WALKERS.items()})
+    return matching(folder, {w: f"{measurement}/{Path(p).name}" if measurement else p for w, p in AGENTS.items()})
 
 
 def matching(folder: Path, patterns: Mapping[str, str]) -> list[tuple[str, list[Result]]]:
-    """The results that match each walker's glob pattern, of those walkers that have any."""
-    found = [(walker, find(folder, pattern)) for walker, pattern in patterns.items()]
-    for walker, results in found:
+    """The results that match each agent's glob pattern, of those agents that have any."""
+    found = [(agent, find(folder, pattern)) for agent, pattern in patterns.items()]
+    for agent, results in found:
         for result in results:
             with blaming(folder / result.name):
-                _check_origin(walker, result.seed, result.provenance)
-    return [(walker, results) for walker, results in found if results]
+                _check_origin(agent, result.seed, result.provenance)
+    return [(agent, results) for agent, results in found if results]
 
 
-def _check_origin(walker: str, seed: str, provenance: dict[str, Any]) -> None:
-    """Raise ValueError unless a walker's result is of MuJoCo C, of its speed, and of the seed in the file's name."""
-    found = {"physics": "native", "speed": None, "seed": seed} | provenance | provenance.get("subject", {})
-    wanted = {"physics": "native", "speed": walker.partition(" speed=")[2] or None, "seed": seed}
+def _check_origin(agent: str, seed: str, provenance: dict[str, Any]) -> None:
+    """Raise ValueError unless an agent's result is of MuJoCo C, of its speed, and of the seed in the file's name."""
+    found = {"physics": "native", "speed": None, "seed": seed} | provenance | provenance.get("agent", {})
+    wanted = {"physics": "native", "speed": agent.partition(" speed=")[2] or None, "seed": seed}
     for key, value in wanted.items():
         if str(found[key]) != str(value):
             raise ValueError(f"it is of {key}={found[key]}, where {key}={value} is reported")
@@ -72,11 +72,11 @@ PAPER_BLENDS |= {"1x,2x schedule=adaptive": "h = 0.22 m"}
 
 
 def beside_the_paper(folder: Path) -> Table:
-    """The paper's experiments with one walker; those that nothing of ours has been through yet stand in the notes."""
-    measured = walkers(folder)
+    """The paper's experiments with one agent; those that nothing of ours has been through yet stand in the notes."""
+    measured = agents(folder)
     header = ("MuJoCo C, 2 kHz", "paper: controller", "paper: policy", *_headings(measured), "command")
     cells = _cells(measured)
-    missing = [f"`{walker}`" for walker in WALKERS if walker not in dict(measured)]
+    missing = [f"`{agent}`" for agent in AGENTS if agent not in dict(measured)]
     missing += [row.experiment for row in ROWS if row not in cells]
     rows = [
         (row.experiment, row.paper_controller, row.paper_policy, *values, f"suite={row.suite}")
@@ -101,8 +101,8 @@ SUMMARY = (
 
 def summary(folder: Path) -> Table:
     """The best known experiments of the paper, beside the controller that bears most and the policies."""
-    measured = [each for each in walkers(folder) if each[0] in ("stiff", "1x", "1x-robust")]
-    names = (f"`{walker}`" for walker, _ in measured)
+    measured = [each for each in agents(folder) if each[0] in ("stiff", "1x", "1x-robust")]
+    names = (f"`{agent}`" for agent, _ in measured)
     header = ("", "paper: controller", "paper: policy", *names, "`evaluate`")
     rows = [
         (row.experiment, row.paper_controller, row.paper_policy, *values, f"suite={row.suite}")
@@ -115,25 +115,25 @@ def summary(folder: Path) -> Table:
 
 
 def beside_each_other(folder: Path, patterns: Mapping[str, str]) -> Table | None:
-    """Walkers in the paper's experiments; None unless two have results, one of them beyond the `WALKERS`."""
+    """Agents in the paper's experiments; None unless two have results, one of them beyond the `AGENTS`."""
     found = matching(folder, patterns)
-    if len(found) < 2 or {walker for walker, _ in found} <= WALKERS.keys():
+    if len(found) < 2 or {agent for agent, _ in found} <= AGENTS.keys():
         return None
     rows = [(row.experiment, *values, f"suite={row.suite}") for row, values in _cells(found).items()]
-    told = " and, for `any`, the column's" if any(" speed=" in walker for walker, _ in found) else ""
+    told = " and, for `any`, the column's" if any(" speed=" in agent for agent, _ in found) else ""
     note = f"By {EVALUATE} with the row's argument{told}."
     header = ("MuJoCo C, 2 kHz", *_headings(found), "command")
     return Table(header, rows, [note, sources([r for _, results in found for r in results])])
 
 
 def _cells(measured: Sequence[tuple[str, list[Result]]]) -> dict[Row, list[str]]:
-    """What each walker did in each of `ROWS` that any of them has been through."""
+    """What each agent did in each of `ROWS` that any of them has been through."""
     found = {row: [cell(row, results) for _, results in measured] for row in ROWS}
     return {row: cells for row, cells in found.items() if set(cells) - {NO_FIGURE}}
 
 
 def _headings(measured: Sequence[tuple[str, list[Result]]]) -> list[str]:
-    return [f"`{walker}`{_seeds(results)}" for walker, results in measured]
+    return [f"`{agent}`{_seeds(results)}" for agent, results in measured]
 
 
 def _seeds(results: Sequence[Result]) -> str:
@@ -144,12 +144,12 @@ def _seeds(results: Sequence[Result]) -> str:
 
 
 def _best(measured: Sequence[tuple[str, list[Result]]]) -> str:
-    """Which seed has the highest return, of each walker with several."""
+    """Which seed has the highest return, of each agent with several."""
     best = []
-    for walker, results in measured:
+    for agent, results in measured:
         returns = {result.seed: value for result in results if (value := result.value("return_plain")) is not None}
         if len(returns) > 1:
-            best.append(f"`{walker}` seed {max(returns, key=lambda seed: returns[seed])}")
+            best.append(f"`{agent}` seed {max(returns, key=lambda seed: returns[seed])}")
     return f" Best seed by undisturbed return: {', '.join(best)}." if best else ""
 
 
@@ -161,47 +161,47 @@ def speeds_and_blends(folder: Path) -> Table | None:
 
 
 def _walks(result: Result) -> list[tuple[str, ...]]:
-    """A row for each subject of a result: how fast, or over which terrain, it walks."""
+    """A row for each agent of a result: how fast, or over which terrain, it walks."""
     rows = []
-    subjects = list(dict.fromkeys(row["subject"] for row in result.content["rows"]))
-    told_speeds = [subject for subject in subjects if " speed=" in subject]
+    agents = list(dict.fromkeys(row["agent"] for row in result.content["rows"]))
+    told_speeds = [agent for agent in agents if " speed=" in agent]
     if told_speeds:
         rows.append((f"{told_speeds[0]} to {told_speeds[-1].split()[-1]}", NO_FIGURE, _kept(result, told_speeds)))
-    for subject in subjects:
-        if subject in told_speeds:
+    for agent in agents:
+        if agent in told_speeds:
             continue
-        paper = PAPER_BLENDS.get(subject.removeprefix("blend:"), NO_FIGURE)
-        told, h = (result.value(quantity, subject) for quantity in ("commanded_mps", "terrain_h_m"))
-        speeds, ups = (result.values(quantity, subject) for quantity in ("speed_mps", "survived_s"))
-        own = [row for row in result.content["rows"] if row["subject"] == subject]
+        paper = PAPER_BLENDS.get(agent.removeprefix("blend:"), NO_FIGURE)
+        told, h = (result.value(quantity, agent) for quantity in ("commanded_mps", "terrain_h_m"))
+        speeds, ups = (result.values(quantity, agent) for quantity in ("speed_mps", "survived_s"))
+        own = [row for row in result.content["rows"] if row["agent"] == agent]
         starts = [row for row in own if row.get("quantity") == "starts_up"]
         if told is not None and ups:
-            paper = PAPER_SPEEDS.get(subject, NO_FIGURE)
+            paper = PAPER_SPEEDS.get(agent, NO_FIGURE)
             least = "at least " if min(ups) < max(ups) else ""
             ours = f"told {told:.2f} m/s: {span(speeds, 2) if speeds else NO_FIGURE}, up {least}{min(ups):g} of 10 s"
-            plain = result.values("return_plain", subject)
+            plain = result.values("return_plain", agent)
             ours += f", return {span(plain, 1)} by the plain reward" if plain else ""
             seeds = dict.fromkeys(str(row["seed"]) for row in own if "seed" in row)
             ours += f"; training seeds {', '.join(seeds)}" if seeds else ""
         elif starts:
-            slow, fast = (result.value(f"{end}_speed_mps", subject) for end in ("lowest", "highest"))
+            slow, fast = (result.value(f"{end}_speed_mps", agent) for end in ("lowest", "highest"))
             ours = f"{starts[0]['value']:g} of {starts[0]['n']} starts up"
             ours += f", {slow:.2f} to {fast:.2f} m/s" if slow is not None and fast is not None else ""
         elif h is not None:
             ours = f"terrain up to h = {h:.2f} m"
         else:
             continue
-        rows.append((subject, paper, ours))
+        rows.append((agent, paper, ours))
     return [(*row, result.provenance["command"]) for row in rows]
 
 
-def _kept(result: Result, subjects: Sequence[str]) -> str:
+def _kept(result: Result, agents: Sequence[str]) -> str:
     """How one policy keeps the speeds it is told: those it walks 10 s at, and the largest error among them."""
-    up = [subject for subject in subjects if (result.value("survived_s", subject) or 0) >= WALK_S]
-    pairs = [(result.value("speed_mps", subject), result.value("commanded_mps", subject)) for subject in up]
+    up = [agent for agent in agents if (result.value("survived_s", agent) or 0) >= WALK_S]
+    pairs = [(result.value("speed_mps", agent), result.value("commanded_mps", agent)) for agent in up]
     errors = [abs(speed - told) for speed, told in pairs if speed is not None and told is not None]
     off = f", {max(errors):.2f} m/s off at most" if errors else ""
-    return f"{len(up)} of {len(subjects)} speeds up for 10 s{off}"
+    return f"{len(up)} of {len(agents)} speeds up for 10 s{off}"
 
 
 def verdicts(result: Result) -> Table:

@@ -1,4 +1,4 @@
-"""Tune the heuristic walker: `python -m experiments.tune_controller preset=compliant seed=0 out=FILE.json`.
+"""Tune the heuristic controller: `python -m experiments.tune_controller preset=compliant seed=0 out=FILE.json`.
 
 CMA-ES over the preset's continuous parameters. A generation walks side by side in MuJoCo C at 1 kHz, one robot a
 candidate; from eight phases of each candidate's own stride, copies are then pushed and sent over terrain, about as hard

@@ -120,7 +120,7 @@ def main(config: VerdictsConfig) -> None:
             differing[-1] |= {"at_border": bool(border[group, level]), "trial": vars(subset.trials[group][level])}
     rows.append(row("all", *np.concatenate(verdicts, axis=1)))
     console.print(rows[-1])
-    provenance = cli.provenance(**asdict(config), subject=dict(agent.provenance))
+    provenance = cli.provenance(**asdict(config), agent=dict(agent.provenance))
     cli.write_result(out, {"rows": rows, "differing": differing, "provenance": provenance})
 
 

@@ -43,10 +43,10 @@ def physics(model):
     return NativePhysics(model)
 
 
-def nudged(subject, physics, qpos, robots):
+def nudged(agent, physics, qpos, robots):
     """Standing robots with a small push to every speed, about to walk."""
     qvel = np.random.default_rng(1).normal(0, 0.02, (robots, cassie.NV))
-    return begin(subject, physics, np.tile(qpos, (robots, 1)), qvel)
+    return begin(agent, physics, np.tile(qpos, (robots, 1)), qvel)
 
 
 @pytest.mark.parametrize("side", [0, 1])
@@ -124,9 +124,9 @@ def test_the_clock_hurries_when_the_velocity_is_far_off(physics):
 
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_mirrored_robot_gets_mirrored_targets(physics, standing_qpos, name):
-    subject = HeuristicAgent(name)
-    walk = walk_on(subject, physics, nudged(subject, physics, standing_qpos, 2))
-    state, (config, control) = next(islice(walk, round(0.3 / subject.period_s), None))
+    agent = HeuristicAgent(name)
+    walk = walk_on(agent, physics, nudged(agent, physics, standing_qpos, 2))
+    state, (config, control) = next(islice(walk, round(0.3 / agent.period_s), None))
     mirrored = physics.init(cassie.mirror_qpos(state.qpos), cassie.mirror_qvel(state.qvel))
     flip = np.array([1, -1, 1])
     line_w = control.line_w * np.array([1, -1, -1])
@@ -139,9 +139,9 @@ def test_mirrored_robot_gets_mirrored_targets(physics, standing_qpos, name):
 
 def test_parameters_of_each_robots_own(physics, standing_qpos):
     both = jax.tree.map(lambda a, b: np.array([a, b], np.float32), STIFF, COMPLIANT)
-    subject = HeuristicAgent("stiff", both)
-    state, memory = nudged(subject, physics, standing_qpos, 2)
-    own, _ = subject.step(memory, sense(subject, physics, state, Scenario.nominal(len(state.qpos))), None)
+    agent = HeuristicAgent("stiff", both)
+    state, memory = nudged(agent, physics, standing_qpos, 2)
+    own, _ = agent.step(memory, sense(agent, physics, state, Scenario.nominal(len(state.qpos))), None)
     arguments = (memory.state, state.qpos, state.qvel, physics.bodies(state), STIFF.period)
     expected = [np.array(jitted_step(config, MASSES, *arguments)[0])[i] for i, config in enumerate((STIFF, COMPLIANT))]
     np.testing.assert_allclose(own, expected, rtol=1e-4, atol=1e-4)
@@ -150,15 +150,15 @@ def test_parameters_of_each_robots_own(physics, standing_qpos):
 
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_walks_from_standing_at_the_reference_pace(physics, standing_qpos, name):
-    subject = HeuristicAgent(name)
-    walk = walk_on(subject, physics, nudged(subject, physics, standing_qpos, 2))
-    strides = list(islice(walk, 0, 10 * subject.stride_acts + 1, subject.stride_acts))
-    qpos = np.array([walker.physics.qpos for walker in strides])
+    agent = HeuristicAgent(name)
+    walk = walk_on(agent, physics, nudged(agent, physics, standing_qpos, 2))
+    strides = list(islice(walk, 0, 10 * agent.stride_acts + 1, agent.stride_acts))
+    qpos = np.array([robots.physics.qpos for robots in strides])
     assert not fallen(qpos, np.zeros(2)).any()
     # A walk undisturbed keeps to the clock: half a step into the right leg's, as at the start.
-    for walker in strides:
-        np.testing.assert_array_equal(walker.carry.state.stance, 1)
-        np.testing.assert_allclose(walker.carry.state.phase, 0.176, atol=1e-4)
+    for robots in strides:
+        np.testing.assert_array_equal(robots.carry.state.stance, 1)
+        np.testing.assert_allclose(robots.carry.state.phase, 0.176, atol=1e-4)
     np.testing.assert_allclose((qpos[-1, :, 0] - qpos[-2, :, 0]) / STRIDE_S, 0.7, atol=0.1)
     np.testing.assert_allclose(qpos[-1, :, 1], 0, atol=0.1)
 
@@ -188,15 +188,15 @@ def test_measured_limits_are_those_required(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_survives_the_pushes_required(physics, name):
-    subject, seconds = HeuristicAgent(name), PUSH_S + AFTER_PUSH_S
+    agent, seconds = HeuristicAgent(name), PUSH_S + AFTER_PUSH_S
     pushes = [(force * x, force * y) for force, (x, y) in zip(REQUIRED[name][0], DIRECTIONS.values(), strict=True)]
     trials = [Trial(k, seconds, push=push) for k in range(len(LIMIT_PHASES)) for push in pushes]
-    assert not run_trials(subject, physics, steady(subject, physics, LIMIT_PHASES), trials).fell.any()
+    assert not run_trials(agent, physics, steady(agent, physics, LIMIT_PHASES), trials).fell.any()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_walks_blind_over_the_terrain_required(physics, name):
-    subject, terrain = HeuristicAgent(name), NativePhysics(load_model(ModelConfig(scene="terrain")))
+    agent, terrain = HeuristicAgent(name), NativePhysics(load_model(ModelConfig(scene="terrain")))
     trials = [Trial(k, WALK_S, terrain=REQUIRED[name][1]) for k in range(len(LIMIT_PHASES))]
-    assert not run_trials(subject, terrain, steady(subject, physics, LIMIT_PHASES), trials).fell.any()
+    assert not run_trials(agent, terrain, steady(agent, physics, LIMIT_PHASES), trials).fell.any()

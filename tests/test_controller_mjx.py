@@ -1,4 +1,4 @@
-"""The heuristic walker on MJX: the same law in float32, compiled with the physics into one loop."""
+"""The heuristic controller on MJX: the same law in float32, compiled with the physics into one loop."""
 
 from dataclasses import replace
 

@@ -19,7 +19,7 @@ def test_the_file_has_rows_and_provenance(tmp_path, monkeypatch):
     asked = []
 
     def suite(name):
-        return lambda subject, setting: asked.append((name, setting.engine, setting.long)) or SuiteResult(found[name])
+        return lambda agent, setting: asked.append((name, setting.engine, setting.long)) or SuiteResult(found[name])
 
     monkeypatch.setattr(evaluate, "SUITES", {name: suite(name) for name in found})
     evaluate.main(EvaluateConfig(policy="controller:stiff", long=True, physics="mjx", out=str(tmp_path / "a.json")))
@@ -27,19 +27,19 @@ def test_the_file_has_rows_and_provenance(tmp_path, monkeypatch):
     content = json.loads((tmp_path / "a.json").read_text())
     assert content.keys() == {"rows", "provenance"}
     assert content["rows"] == [
-        {"subject": "controller:stiff", "quantity": "speed_mps", "value": 0.7, "unit": "m/s", "n": 10},
-        {"subject": "controller:stiff", "quantity": "terrain_h_m", "value": 0.1, "unit": "m", "n": 8},
+        {"agent": "controller:stiff", "quantity": "speed_mps", "value": 0.7, "unit": "m/s", "n": 10},
+        {"agent": "controller:stiff", "quantity": "terrain_h_m", "value": 0.1, "unit": "m", "n": 8},
     ]
     assert content["provenance"]["policy"] == "controller:stiff"
     assert list(content["provenance"]["seconds"]) == ["walk", "delay", "terrain", "push"]
 
 
 def test_cells_and_the_policys_own_provenance_go_to_the_file(tmp_path, monkeypatch):
-    monkeypatch.setitem(suites.SUITES, "map", lambda subject, setting: SuiteResult([], {"survived": [["10"]]}))
+    monkeypatch.setitem(suites.SUITES, "map", lambda agent, setting: SuiteResult([], {"survived": [["10"]]}))
     evaluate.main(EvaluateConfig(policy="1x", suite="map", out=str(tmp_path / "a.json")))
     content = json.loads((tmp_path / "a.json").read_text())
     assert content["map"] == {"survived": [["10"]]}
-    assert content["provenance"]["subject"].keys() >= {"seed", "commit", "samples", "return_plain"}
+    assert content["provenance"]["agent"].keys() >= {"seed", "commit", "samples", "return_plain"}
 
 
 @pytest.mark.parametrize(

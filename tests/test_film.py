@@ -16,13 +16,13 @@ from cassie_mjx.robot.model import ModelConfig, load_model
 )
 def test_a_film_shows_the_trial_that_is_measured(disturbed):
     """Thirty control steps, filmed at 100 frames a second, end in the state that `run_trials` measures."""
-    subject, trial = Swaying(), Trial(0, 0.96, **disturbed)
+    agent, trial = Swaying(), Trial(0, 0.96, **disturbed)
     physics = NativePhysics(load_model(ModelConfig(scene="terrain" if trial.terrain else "flat")), trial.delay)
-    starts = subject.start(physics, np.zeros(1))
-    result = run_trials(subject, physics, starts, [trial])
-    first, *_, last = film(subject, Trial(0, 0.97, **disturbed), fps=100)
+    starts = agent.start(physics, np.zeros(1))
+    result = run_trials(agent, physics, starts, [trial])
+    first, *_, last = film(agent, Trial(0, 0.97, **disturbed), fps=100)
     assert last.time_s == 0.96
-    np.testing.assert_array_equal(first.qpos, placed(subject, starts, [trial]).physics.qpos[0])
+    np.testing.assert_array_equal(first.qpos, placed(agent, starts, [trial]).physics.qpos[0])
     np.testing.assert_array_equal(last.qpos[:2] - first.qpos[:2], [result.distance_m[0], result.drift_m[0]])
     assert np.ptp([last.qpos[2], first.qpos[2]]) > 1e-5
 

@@ -124,7 +124,7 @@ def test_a_name_with_markup_in_it_is_shown_to_the_letter(tmp_path, monkeypatch, 
     monkeypatch.setattr(evaluate, "SUITES", {"walk": lambda agent, setup: SuiteResult([figure])})
     evaluate.main(EvaluateConfig(policy=str(odd), suite="walk", out=str(tmp_path / "a.json")))
     assert "[/red].npz:walk" in "".join(capsys.readouterr().err.split())
-    assert json.loads((tmp_path / "a.json").read_text())["rows"][0]["subject"] == str(odd)
+    assert json.loads((tmp_path / "a.json").read_text())["rows"][0]["agent"] == str(odd)
 
 
 def test_no_command_reads_markup():

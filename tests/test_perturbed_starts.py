@@ -1,4 +1,4 @@
-"""Random starts around standing: what they are, and that both walkers walk from them."""
+"""Random starts around standing: what they are, and that both agents walk from them."""
 
 import mujoco
 import numpy as np

@@ -29,18 +29,18 @@ def physics():
 
 
 @pytest.fixture(scope="module")
-def referee():
+def native():
     """MuJoCo C at the same rate and with the same contacts, converged."""
     return NativePhysics(load_model(replace(CONVERGED, iterations=100)), max_delay=8)
 
 
 @pytest.fixture(scope="module")
-def states(referee, standing_qpos):
+def states(native, standing_qpos):
     """BATCH robots: one at rest, the others at walking velocities; their targets, a push, and delays of 0 to 7 ms."""
     rng = np.random.default_rng(3)
     scales = np.array([0, 0.3, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5])
     qvel = np.stack(
-        [loop_consistent(referee.model, standing_qpos, scale * rng.normal(size=cassie.NV)) for scale in scales]
+        [loop_consistent(native.model, standing_qpos, scale * rng.normal(size=cassie.NV)) for scale in scales]
     )
     targets = cassie.STANDING_TARGET + 0.1 * rng.normal(size=(BATCH, cassie.NU))
     scenario = replace(
@@ -78,33 +78,33 @@ def test_acceleration_equals_mujoco_c_in_float64(accelerations, case):
         assert found["difference_max_without_bias"] < 1e-6
 
 
-def test_float32_over_one_and_ten_control_steps(physics, referee, states):
+def test_float32_over_one_and_ten_control_steps(physics, native, states):
     """Pushed, delayed and at walking velocities: within 0.1 mm and 1 mrad after 32 ms; the same motion after 320 ms."""
     qpos, qvel, targets, scenario = states
-    c = referee.init(qpos, qvel)
+    c = native.init(qpos, qvel)
     x = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
-    c = referee.advance(c, targets, scenario, 32)
+    c = native.advance(c, targets, scenario, 32)
     x = physics.advance(x, targets, scenario, 32)
     np.testing.assert_allclose(x.qpos, c.qpos, atol=1e-3)
     np.testing.assert_allclose(x.qpos[:, :3], c.qpos[:, :3], atol=1e-4)
     for _ in range(9):
-        c = referee.advance(c, targets, scenario, 32)
+        c = native.advance(c, targets, scenario, 32)
         x = physics.advance(x, targets, scenario, 32)
     np.testing.assert_allclose(x.qpos[:, :3], c.qpos[:, :3], atol=5e-3)
     np.testing.assert_allclose(x.qpos[:, cassie.ACTIVE_QPOS], c.qpos[:, cassie.ACTIVE_QPOS], atol=2e-2)
     np.testing.assert_array_equal(x.step, c.step)
 
 
-def test_standing_has_the_same_outcome_in_both_engines(physics, referee, standing_qpos):
+def test_standing_has_the_same_outcome_in_both_engines(physics, native, standing_qpos):
     qpos, qvel = np.tile(standing_qpos, (BATCH, 1)), np.zeros((BATCH, cassie.NV))
     targets = np.tile(cassie.STANDING_TARGET, (BATCH, 1))
-    c = referee.init(qpos, qvel)
+    c = native.init(qpos, qvel)
     x = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))
     for _ in range(63):
-        c = referee.advance(c, targets, Scenario.nominal(BATCH), 32)
+        c = native.advance(c, targets, Scenario.nominal(BATCH), 32)
         x = physics.advance(x, targets, Scenario.nominal(BATCH), 32)
         np.testing.assert_allclose(x.qpos[:, 2], c.qpos[:, 2], atol=2e-3)
-        assert loop_error(referee.model, np.asarray(x.qpos)).max() < 1e-3
+        assert loop_error(native.model, np.asarray(x.qpos)).max() < 1e-3
     np.testing.assert_allclose(x.qpos[:, 2], standing_qpos[2], atol=2e-3)
 
 
@@ -129,10 +129,10 @@ def test_terrain_agrees_with_the_height_field(physics, standing_qpos):
     assert np.abs(flat.qpos[:, :3] - c.qpos[:, :3]).max() > 0.05
 
 
-def test_bodies_are_those_of_mujoco_c(physics, referee, states):
+def test_bodies_are_those_of_mujoco_c(physics, native, states):
     qpos, qvel, _, _ = states
     ours = physics.bodies(physics.init(qpos.astype(np.float32), qvel.astype(np.float32)))
-    theirs = referee.bodies(referee.init(qpos, qvel))
+    theirs = native.bodies(native.init(qpos, qvel))
     for name in ("xpos", "xmat", "xipos", "ximat", "cvel", "com"):
         np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), atol=2e-5, err_msg=name)
 

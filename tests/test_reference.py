@@ -189,7 +189,7 @@ def test_the_reference_angles_alone_fall(model, motion):
 
 
 def spoiled(motion):
-    """The stride as a walker might leave it: turned by 0.3 rad, beside the origin, with drift in joints and height."""
+    """The stride as an agent might leave it: turned by 0.3 rad, beside the origin, with drift in joints and height."""
     qpos, qvel = next_stride(motion)
     share = np.linspace(-0.5, 0.5, 23)[:, None]
     drift = np.zeros(cassie.NQ)

@@ -31,8 +31,8 @@ def write(folder, name, rows=(), origin=None, **content):
     path.write_text(json.dumps({"rows": list(rows), **content, "provenance": PROVENANCE | (origin or {})}))
 
 
-def figures(subject="1x", **values):
-    return [{"subject": subject, "quantity": name, "value": v, "unit": "", "n": 8} for name, v in values.items()]
+def figures(agent="1x", **values):
+    return [{"agent": agent, "quantity": name, "value": v, "unit": "", "n": 8} for name, v in values.items()]
 
 
 def learning(variant, seed, returns):
@@ -57,8 +57,8 @@ def everything(tmp_path):
         rows = figures(return_plain=290 + seed, push_forward_N=force, push_left_N=60, push_right_N=50)
         write(folder, f"evaluate/1x-seed{seed}.json", rows)
     write(folder, "map/1x-seed0.json", map=MAP)
-    levels = [{"subject": "1x", "quantity": "terrain_survived", "level": h, "value": 1 - h} for h in (0.0, 0.5)]
-    levels += [{"subject": "1x", "quantity": "delay_survived", "level": ms, "value": 0.5} for ms in (0, 1)]
+    levels = [{"agent": "1x", "quantity": "terrain_survived", "level": h, "value": 1 - h} for h in (0.0, 0.5)]
+    levels += [{"agent": "1x", "quantity": "delay_survived", "level": ms, "value": 0.5} for ms in (0, 1)]
     write(folder, "survival/1x-seed0.json", levels)
     write(folder, "walking.json", runs=[learning("1x", 0, [100, 200]), learning("1x", 1, [200, 300])])
     angles = {"walked": [0.1, 0.2], "reference": [0.1, 0.1]}
@@ -73,8 +73,8 @@ def everything(tmp_path):
     speeds += figures("any speed=0x", commanded_mps=0, speed_mps=-0.05, survived_s=10)
     speeds += figures("any speed=4x", commanded_mps=2.84, speed_mps=1, survived_s=8)
     write(folder, "speeds.json", speeds, profile=ride)
-    up = {"subject": "blend:1x,2x schedule=ramp", "quantity": "starts_up", "value": 19, "unit": "of 20", "n": 20}
-    write(folder, "interpolation.json", [up], rides={up["subject"]: ride})
+    up = {"agent": "blend:1x,2x schedule=ramp", "quantity": "starts_up", "value": 19, "unit": "of 20", "n": 20}
+    write(folder, "interpolation.json", [up], rides={up["agent"]: ride})
     cells = {"cells": 40, "same": 39, "same_share": 0.975, "differ_at_border": 1, "differ_elsewhere": 0}
     seconds = {"seconds_native": 2.4, "seconds_mjx": 30.6}
     write(folder, "verdicts.json", [{"kind": "push"} | cells | seconds, {"kind": "all"} | cells])
@@ -124,7 +124,7 @@ def test_a_limit_at_the_highest_level_tried_says_so(everything):
     [
         ({"physics": "mjx"}, "physics=mjx, where physics=native"),
         ({"speed": "2x"}, "speed=2x, where speed=None"),
-        ({"subject": {"seed": 7}}, "seed=7, where seed=0"),
+        ({"agent": {"seed": 7}}, "seed=7, where seed=0"),
     ],
 )
 def test_a_result_of_something_else_is_refused(tmp_path, origin, complaint):
@@ -134,7 +134,7 @@ def test_a_result_of_something_else_is_refused(tmp_path, origin, complaint):
 
 
 def test_seeds_of_other_levels_are_not_averaged(everything):
-    levels = [{"subject": "1x", "quantity": "terrain_survived", "level": h, "value": 1} for h in (0.0, 0.4)]
+    levels = [{"agent": "1x", "quantity": "terrain_survived", "level": h, "value": 1} for h in (0.0, 0.4)]
     write(everything, "survival/1x-seed1.json", levels)
     with pytest.raises(ValueError, match="1x-seed1.json .* terrain_survived at other levels"):
         whole_page(everything)
@@ -297,11 +297,11 @@ def test_maps_and_survival_are_means_over_seeds(everything):
     other = copy.deepcopy(MAP)
     other["survived"][0] = ["00", "00"]
     write(everything, "map/1x-seed1.json", map=other)
-    ((_, results),) = tables.walkers(everything, "map")
+    ((_, results),) = tables.agents(everything, "map")
     pushes = report.mean_map(everything, results)
     np.testing.assert_allclose(pushes.shares, [[0.5, 0.25], [1, 1], [0, 0], [0.5, 0]])
     assert pushes.farthest_n == 20
-    ((_, results),) = tables.walkers(everything, "survival")
+    ((_, results),) = tables.agents(everything, "survival")
     series = report.survival_series(everything, "1x", results, "terrain_survived")
     assert series == ("1x", [0.0, 0.5], [1.0, 0.5])
 

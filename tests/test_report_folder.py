@@ -5,10 +5,10 @@ import json
 from cassie_mjx.reporting.folder import beside_the_paper, by_agent, evaluations
 
 
-def write(path, subject, value, quantity="return_plain", **provenance):
+def write(path, agent, value, quantity="return_plain", **provenance):
     path.parent.mkdir(exist_ok=True)
     origin = {"command": "c", "commit": "a", "date": "2026-11-25", "hardware": "h"} | provenance
-    rows = [{"subject": subject, "quantity": quantity, "value": value, "unit": "of 300", "n": 10}]
+    rows = [{"agent": agent, "quantity": quantity, "value": value, "unit": "of 300", "n": 10}]
     path.write_text(json.dumps({"rows": rows, "provenance": origin}))
 
 

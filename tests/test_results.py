@@ -181,13 +181,13 @@ def on_both_engines():
 
 def blended():
     """What the blends come to."""
-    found = {(row["subject"], row["quantity"]): row for row in rows("interpolation")}
+    found = {(row["agent"], row["quantity"]): row for row in rows("interpolation")}
     chain = "blend:0x,1x,2x,3x,4x schedule=ramp"
     up, fastest = found[chain, "starts_up"], found[chain, "highest_speed_mps"]
     yield f"from stepping in place to {fastest['value']:.1f} m/s"
     yield f"from {up['value']:g} of {up['n']} starting phases"
     first, second, blend = (
-        found[subject, "terrain_h_m"]["value"] for subject in ("1x", "2x", "blend:1x,2x schedule=adaptive")
+        found[agent, "terrain_h_m"]["value"] for agent in ("1x", "2x", "blend:1x,2x schedule=adaptive")
     )
     yield f"h = {blend:.2f} m against {first:.2f} and {second:.2f}"
     alone = [row["value"] for k in range(3) for row in rows(f"evaluate/1x-seed{k}", quantity="terrain_h_m")]

@@ -56,10 +56,10 @@ def test_the_file_says_which_policies_kept_their_speeds(tmp_path, monkeypatch):
     monkeypatch.setattr(speeds, "COMMANDS", [0.5, 2.0])
     speeds.main(SpeedsConfig(("1x",), free, profile_seed=3, out=str(tmp_path / "a.json")))
     content = json.loads((tmp_path / "a.json").read_text())
-    walked = dict.fromkeys(row["subject"] for row in content["rows"])
+    walked = dict.fromkeys(row["agent"] for row in content["rows"])
     assert list(walked) == [f"{free} profile", "1x", f"{free} speed=0.5x", f"{free} speed=2x"]
     policy = NumpyPolicy.load(shipped)
-    assert content["provenance"]["subject"] == {"1x": policy.provenance, free: policy.provenance}
+    assert content["provenance"]["agent"] == {"1x": policy.provenance, free: policy.provenance}
     assert content["provenance"]["profile_seed"] == 3
 
 
@@ -82,8 +82,8 @@ def test_the_policies_of_training_runs_are_measured_under_name_and_seed(tmp_path
     config = SpeedsConfig(("1x",), None, str(tmp_path), (0, 4), out=str(tmp_path / "a.json"))
     speeds.main(config)
     content = json.loads((tmp_path / "a.json").read_text())
-    assert [(row["subject"], row["seed"]) for row in content["rows"]] == [("1x", 0), ("1x", 4)]
-    assert list(content["provenance"]["subject"]) == [f"{tmp_path}/1x-seed0", f"{tmp_path}/1x-seed4"]
+    assert [(row["agent"], row["seed"]) for row in content["rows"]] == [("1x", 0), ("1x", 4)]
+    assert list(content["provenance"]["agent"]) == [f"{tmp_path}/1x-seed0", f"{tmp_path}/1x-seed4"]
 
     (tmp_path / "1x-seed4" / "config.json").write_text(json.dumps({"config": held | {"walk.reward": "plain"}}))
     with pytest.raises(ValueError, match="1x-seed4 was trained with walk.reward=plain, unlike 1x"):
@@ -115,7 +115,7 @@ def test_the_file_says_which_policies_were_blended(tmp_path, monkeypatch):
     content = json.loads((tmp_path / "a.json").read_text())
     assert list(content["rides"]) == ["blend:1x,1x schedule=ramp", "blend:1x,1x,1x,1x,1x schedule=ramp"]
     policy = NumpyPolicy.load(shipped_policies()["1x"])
-    assert content["provenance"]["subject"] == {"1x": policy.provenance}
+    assert content["provenance"]["agent"] == {"1x": policy.provenance}
 
 
 def test_the_profile_jumps_every_two_seconds_for_a_minute():

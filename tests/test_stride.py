@@ -49,9 +49,9 @@ def test_the_file_says_which_policy_walked(tmp_path, monkeypatch):
     monkeypatch.setattr(stride, "STRIDES", 2)
     stride.main(StrideConfig("1x", str(tmp_path / "a.json")))
     content = json.loads((tmp_path / "a.json").read_text())
-    assert {row["subject"] for row in content["rows"]} == {"1x"}
+    assert {row["agent"] for row in content["rows"]} == {"1x"}
     assert content["provenance"]["policy"] == "1x"
-    assert content["provenance"]["subject"] == make_agent("1x").provenance
+    assert content["provenance"]["agent"] == make_agent("1x").provenance
 
 
 def test_a_controller_has_no_reference(tmp_path):

@@ -1,4 +1,4 @@
-"""The suites' questions, put to subjects and engines whose outcomes are written down."""
+"""The suites' questions, put to agents and engines whose outcomes are written down."""
 
 from types import SimpleNamespace
 
@@ -173,7 +173,7 @@ def test_walking_figures_take_the_worst_survival():
 
 def test_mjx_gives_the_verdicts_of_mujoco_c():
     """Where they are clear: undisturbed, a light and a hopeless push, delays of 1 and 20 ms."""
-    subject = make_agent("1x")
+    agent = make_agent("1x")
     cells = [
         Trial(0, 1.6),
         Trial(1, 1.6, push=(0.0, 20.0)),
@@ -184,8 +184,8 @@ def test_mjx_gives_the_verdicts_of_mujoco_c():
     results = {}
     for engine in ENGINES:
         setting = EvalSetup(engine)
-        starts = setting.starts(subject, np.array([0.0, 0.5]), suites.LONGEST_DELAY_S)
-        results[engine] = run_trials(subject, setting.physics(longest_delay_s=suites.LONGEST_DELAY_S), starts, cells)
+        starts = setting.starts(agent, np.array([0.0, 0.5]), suites.LONGEST_DELAY_S)
+        results[engine] = run_trials(agent, setting.physics(longest_delay_s=suites.LONGEST_DELAY_S), starts, cells)
     native, mjx = results["native"], results["mjx"]
     np.testing.assert_array_equal(native.fell, [False, False, True, False, True])
     np.testing.assert_array_equal(mjx.fell, native.fell)

@@ -1,4 +1,4 @@
-"""Who stays up, level by level: shares by hand, and a walker that walks on."""
+"""Who stays up, level by level: shares by hand, and an agent that walks on."""
 
 import json
 from types import SimpleNamespace
@@ -25,7 +25,7 @@ class Standing(EvalSetup):
 
 def test_a_share_is_that_of_the_starts_of_a_level():
     up = np.array([True, True, True, False])
-    found = rows("walker", "terrain_survived", "m", [0.0, 0.2], up)
+    found = rows("agent", "terrain_survived", "m", [0.0, 0.2], up)
     assert [(row["level"], row["value"], row["n"]) for row in found] == [(0.0, 1.0, 2), (0.2, 0.5, 2)]
 
 
@@ -39,8 +39,8 @@ def test_levels_from_none_on_are_walked(monkeypatch, tmp_path):
     content = json.loads((tmp_path / "a.json").read_text())
     found, provenance = content["rows"], content["provenance"]
     assert provenance["speed"] == "1.1x"
-    assert provenance["subject"] == make_agent("1x").provenance
-    assert {row["subject"] for row in found} == {"1x speed=1.1x"}
+    assert provenance["agent"] == make_agent("1x").provenance
+    assert {row["agent"] for row in found} == {"1x speed=1.1x"}
     assert [(row["quantity"], row["level"], row["level_unit"], row["n"]) for row in found] == [
         *(("terrain_survived", level, "m", 1) for level in (0.0, 0.4)),
         *(("delay_survived", level, "ms", 2) for level in (0.0, 20.0)),
@@ -56,12 +56,12 @@ def test_each_level_disturbs_as_it_says(monkeypatch):
         return SimpleNamespace(fell=np.zeros(len(trials), bool))
 
     monkeypatch.setattr(survival, "run_trials", run_trials)
-    subject, setting = Still(), Standing()
-    heights = [row["level"] for row in survival.terrain(subject, setting)]
+    agent, setting = Still(), Standing()
+    heights = [row["level"] for row in survival.terrain(agent, setting)]
     assert heights == [pytest.approx(k / 100) for k in range(41)]
     assert [(trial.start, trial.terrain) for trial in flown] == [(k, h) for h in heights for k in range(8)]
     flown.clear()
-    assert [row["level"] for row in survival.delay(subject, setting)] == list(range(21))
+    assert [row["level"] for row in survival.delay(agent, setting)] == list(range(21))
     # 2 steps a millisecond at 2 kHz.
     assert [(trial.start, trial.delay) for trial in flown] == [(k, 2 * ms) for ms in range(21) for k in range(10)]
     assert {trial.seconds for trial in flown} == {10}

@@ -200,11 +200,11 @@ def test_effort_is_a_mean_over_time(engine):
 
 
 def test_terrain_begins_on_a_crest():
-    subject = Still()
-    starts = subject.start(None, np.zeros(2))
-    walker = placed(subject, starts, [Trial(1, 1.0, terrain=0.2), Trial(0, 1.0)])
-    np.testing.assert_allclose(walker.physics.qpos[:, :3], [[np.pi / 2, 0, 1.1], [0, 0, 0.9]])
-    np.testing.assert_array_equal(walker.physics.qpos[:, -1], [1, 0])
+    agent = Still()
+    starts = agent.start(None, np.zeros(2))
+    robots = placed(agent, starts, [Trial(1, 1.0, terrain=0.2), Trial(0, 1.0)])
+    np.testing.assert_allclose(robots.physics.qpos[:, :3], [[np.pi / 2, 0, 1.1], [0, 0, 0.9]])
+    np.testing.assert_array_equal(robots.physics.qpos[:, -1], [1, 0])
     np.testing.assert_array_equal(starts.physics.qpos[:, 0], 0)
 
 
@@ -214,14 +214,14 @@ def test_subjects_see_the_state_of_a_delay_ago(model, standing_qpos):
             self.seen = sensed.qpos
             return np.tile(cassie.STANDING_TARGET, (len(carry), 1)), carry
 
-    physics, subject = NativePhysics(model, max_delay=20), Standing()
+    physics, agent = NativePhysics(model, max_delay=20), Standing()
     state = physics.init(np.tile(standing_qpos, (2, 1)), np.full((2, cassie.NV), 0.05))
-    run_trials(subject, physics, AgentState(state, np.zeros(2)), [Trial(0, 0.064, delay=20), Trial(1, 0.064)])
+    run_trials(agent, physics, AgentState(state, np.zeros(2)), [Trial(0, 0.064, delay=20), Trial(1, 0.064)])
     delay = replace(Scenario.nominal(2), delay=np.array([20, 0], np.int32))
     at_44 = physics.advance(state, np.tile(cassie.STANDING_TARGET, (2, 1)), delay, 44)
     at_64 = physics.advance(at_44, np.tile(cassie.STANDING_TARGET, (2, 1)), delay, 20)
-    np.testing.assert_array_equal(subject.seen, [at_44.qpos[0], at_64.qpos[1]])
-    carried = moved(subject, AgentState(at_64, np.zeros(2)), np.array([[1.0, 2.0, 3.0], [0, 0, 0]]))
+    np.testing.assert_array_equal(agent.seen, [at_44.qpos[0], at_64.qpos[1]])
+    carried = moved(agent, AgentState(at_64, np.zeros(2)), np.array([[1.0, 2.0, 3.0], [0, 0, 0]]))
     np.testing.assert_allclose(carried.physics.history[0, :, :3] - at_64.history[0, :, :3], np.tile([1, 2, 3], (21, 1)))
     np.testing.assert_array_equal(carried.physics.history[:, :, 3:], at_64.history[:, :, 3:])
 
@@ -245,7 +245,7 @@ def test_a_delay_longer_than_the_history_is_refused_at_the_door(engine):
 
 
 def test_a_period_that_does_not_divide_the_control_step_is_refused():
-    subject, physics = Still(), points()
-    subject.period_s = 0.01
+    agent, physics = Still(), points()
+    agent.period_s = 0.01
     with pytest.raises(ValueError, match=r"still acts every 0\.01 s, which does not divide 0\.032 s"):
-        run_trials(subject, physics, subject.start(physics, np.zeros(1)), [Trial(0, 1.0)])
+        run_trials(agent, physics, agent.start(physics, np.zeros(1)), [Trial(0, 1.0)])

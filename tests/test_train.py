@@ -228,7 +228,7 @@ def test_a_nan_in_physics_is_counted_survived_and_kept(tmp_path, monkeypatch):
 
     def patched(self, state, target, scenario, n_steps):
         after = advance(self, state, target, scenario, n_steps)
-        # A robot of the four diverges in the third control step of each of its episodes; the referee has ten.
+        # A robot of the four diverges in the third control step of each of its episodes; the evaluation has ten.
         if len(state.qpos) == 4 and state.step[1] == 2 * n_steps:
             after.qpos[1] = np.nan
         return after

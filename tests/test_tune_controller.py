@@ -51,8 +51,8 @@ def test_a_clock_that_hurries_in_steady_walking_is_told():
     """At phase 0 of a stride: the end of the right leg's step of 0.352 s, or the very start of the left leg's."""
     state = SimpleNamespace(stance=np.array([1, 1, 0, 0]), phase=np.array([0.351, 0.340, 0.001, 0.020]))
     memory = SimpleNamespace(state=state, config=SimpleNamespace(step_time=np.full(4, 0.352)))
-    walker: Any = SimpleNamespace(carry=memory)
-    np.testing.assert_array_equal(on_time(walker, 0.002), [True, False, True, False])
+    agent: Any = SimpleNamespace(carry=memory)
+    np.testing.assert_array_equal(on_time(agent, 0.002), [True, False, True, False])
 
 
 @pytest.mark.slow

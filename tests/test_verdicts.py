@@ -34,8 +34,8 @@ def test_the_file_lists_what_differs(tmp_path, monkeypatch):
 
     walked = set()
 
-    def survived(subject, setting, subset):
-        walked.add(subject.name)
+    def survived(agent, setting, subset):
+        walked.add(agent.name)
         verdicts_of = np.ones((len(subset.trials), len(subset.trials[0])), bool)
         if subset.kind == "push":
             verdicts_of[0, 3 if setting.engine == "native" else 2 :] = False

@@ -65,9 +65,9 @@ def clock(monkeypatch):
 )
 def test_the_robot_steps_as_in_the_physics_of_the_sweeps(period_s, terrain, kd_scale):
     """Half a second on the model with all its visuals, in one MjData, against NativePhysics on the bare model."""
-    subject = Swaying(period_s, kd_scale=kd_scale)
-    live = Live(subject, terrain)
-    for shot in film(subject, Trial(0, 0.5, terrain=terrain), fps=100):
+    agent = Swaying(period_s, kd_scale=kd_scale)
+    live = Live(agent, terrain)
+    for shot in film(agent, Trial(0, 0.5, terrain=terrain), fps=100):
         np.testing.assert_array_equal(live.data.qpos, shot.qpos)
         live.advance(20)
 

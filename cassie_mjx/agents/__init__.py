@@ -1,1 +1,1 @@
-"""What can walk: policies, blends of them, the heuristic walker."""
+"""What can walk: policies, blends of them, the heuristic controller."""

@@ -1,4 +1,4 @@
-"""The heuristic walker as an agent."""
+"""The heuristic controller as an agent."""
 
 import functools
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ class HeuristicCarry(NamedTuple):
 
 
 class HeuristicAgent:
-    """Heuristic walkers as an `Agent`; phase 0 of their stride is where the left leg takes over.
+    """Heuristic controllers as an `Agent`; phase 0 of their stride is where the left leg takes over.
 
     Every robot carries its parameters with it, so that robots of different parameters can walk side by side.
     """

@@ -1,4 +1,4 @@
-"""The agent of a name: a policy, a blend, the heuristic walker."""
+"""The agent of a name: a policy, a blend, the heuristic controller."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -34,7 +34,7 @@ class AgentState(NamedTuple):
 
 
 class Agent(Protocol):
-    """Whatever walks: a policy, a blend of policies, the heuristic walker."""
+    """Whatever walks: a policy, a blend of policies, the heuristic controller."""
 
     name: str
     period_s: float

@@ -88,7 +88,7 @@ Suite: TypeAlias = Callable[[Agent, EvalSetup], SuiteResult]
 def walk(agent: Agent, setup: EvalSetup) -> SuiteResult:
     """Undisturbed walking on the flat from ten phases of the stride.
 
-    Of a agent that falls before it walks steadily, the returns and a survival of 0 s are all there is.
+    Of an agent that falls before it walks steadily, the returns and a survival of 0 s are all there is.
     """
     physics = setup.physics()
     metrics = agent_returns(agent, physics)

@@ -1,4 +1,4 @@
-"""Parameters of the heuristic walker, and its two presets."""
+"""Parameters of the heuristic controller, and its two presets."""
 
 import functools
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from cassie_mjx.robot import cassie
 @functools.partial(jax.tree_util.register_dataclass)
 @dataclass(frozen=True)
 class ControllerConfig:
-    """Parameters of the walker. A pytree: a leaf may be a [B] array, one value for each robot. Defaults: `STIFF`."""
+    """Its parameters. A pytree: a leaf may be a [B] array, one value for each robot. Defaults: `STIFF`."""
 
     period: float = 0.001
     """Time between two calls of `step` for which the other values were tuned, s."""

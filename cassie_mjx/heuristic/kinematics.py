@@ -1,4 +1,4 @@
-"""Kinematics of Cassie's legs for the heuristic walker: the robot in its heading frame, and the legs' inverse.
+"""Kinematics of Cassie's legs for the heuristic controller: the robot in its heading frame, and the legs' inverse.
 
 Frames: `_w` is the world; the heading frame has its origin at the pelvis and is turned about the vertical by the yaw
 of the pelvis, x forward, y left, z up. A side is 0 (left) or 1 (right).

@@ -1,4 +1,4 @@
-"""The heuristic walker that records the reference motion: a linear inverted pendulum, foot placement and PD loops.
+"""The heuristic controller that records the reference motion: a linear inverted pendulum, foot placement and PD loops.
 
 The idea is that of Raibert (1986) with the capture-point algebra of Koolen et al. (2012): the stance leg carries the
 body as an inverted pendulum, the swing foot lands where the next step ends at the wanted velocity, and a clock switches
@@ -44,7 +44,7 @@ FULL_DEFLECTION, NO_LOAD = -0.128, 0.05
 @functools.partial(jax.tree_util.register_dataclass)
 @dataclass(frozen=True)
 class ControllerState:
-    """What the walker carries from call to call.
+    """What the controller carries from call to call.
 
     Attributes:
       phase: time on the clock since the legs last switched, [B], s; the clock runs in real time unless it hurries.

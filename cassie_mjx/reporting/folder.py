@@ -26,7 +26,7 @@ def evaluations(folder: Path) -> tuple[list[Result], list[str]]:
         try:
             result = read(folder, name)
             with blaming(path):
-                if not any({"subject", "quantity", "value"} <= row.keys() for row in result.content["rows"]):
+                if not any({"agent", "quantity", "value"} <= row.keys() for row in result.content["rows"]):
                     raise ValueError("its rows name no quantity of an agent")
             found.append(result)
         except ValueError as error:
@@ -38,9 +38,9 @@ def by_agent(results: Sequence[Result]) -> dict[str, list[Result]]:
     """The results of each agent on each engine, seeds together; a file of several counts with its own rows."""
     agents: dict[str, list[Result]] = {}
     for result in results:
-        rows = [row for row in result.content["rows"] if {"subject", "quantity", "value"} <= row.keys()]
-        for name in dict.fromkeys(row["subject"] for row in rows):
-            own = [row for row in rows if row["subject"] == name]
+        rows = [row for row in result.content["rows"] if {"agent", "quantity", "value"} <= row.keys()]
+        for name in dict.fromkeys(row["agent"] for row in rows):
+            own = [row for row in rows if row["agent"] == name]
             engine = " on MJX" if result.provenance.get("physics") == "mjx" else ""
             agents.setdefault(re.sub(r"-seed\d+$", "", name) + engine, []).append(
                 Result(result.name, result.content | {"rows": own})
@@ -95,7 +95,7 @@ def push_maps(results: Sequence[Result]) -> str:
                 cells = result.content["map"]
                 survived = np.array([[[int(digit) for digit in row] for row in phases] for phases in cells["survived"]])
                 shown = plots.PushMap(survived.mean(axis=1), cells["directions_deg"], cells["forces_N"])
-                maps.append((shown, f"{result.content['rows'][0]['subject']}, {result.name}."))
+                maps.append((shown, f"{result.content['rows'][0]['agent']}, {result.name}."))
     reach_n = max((shown.farthest_n for shown, _ in maps), default=0)
     return page.drawn([(plots.push_map(shown, reach_n), caption) for shown, caption in maps])
 

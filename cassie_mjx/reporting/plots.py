@@ -37,7 +37,7 @@ class Series(NamedTuple):
 
 
 class PushMap(NamedTuple):
-    """How many of a walker's robots survive a push."""
+    """How many of an agent's robots survive a push."""
 
     shares: np.ndarray
     """[direction, force], 0 to 1."""
@@ -118,7 +118,7 @@ def push_map(pushes: PushMap, reach_n: float) -> Figure:
 
 @matplotlib.rc_context(STYLE)
 def survival(series: Sequence[Series], xlabel: str, paper: Sequence[tuple[str, float]]) -> Figure:
-    """A band for each walker, as high as the share of its robots that stay up; the paper's limits dashed."""
+    """A band for each agent, as high as the share of its robots that stay up; the paper's limits dashed."""
     figure, axis = _axes(0.9 + 0.55 * len(series))
     for place, (label, levels, shares) in enumerate(reversed(series)):
         colour = COLOURS.get(label, "0.4")

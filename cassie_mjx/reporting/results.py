@@ -30,13 +30,13 @@ class Result:
         found = re.search(r"-seed(\d+)\.json$", self.name)
         return found[1] if found else ""
 
-    def value(self, quantity: str, subject: str | None = None) -> float | None:
-        """The value of a quantity, of one subject if several are in the file; None if it was not measured."""
-        return next(iter(self.values(quantity, subject)), None)
+    def value(self, quantity: str, agent: str | None = None) -> float | None:
+        """The value of a quantity, of one agent if several are in the file; None if it was not measured."""
+        return next(iter(self.values(quantity, agent)), None)
 
-    def values(self, quantity: str, subject: str | None = None) -> list[float]:
-        """The values of a quantity, of one subject if several are in the file; one a seed of its training."""
-        rows = (r for r in self.content["rows"] if r.get("quantity") == quantity and subject in (None, r["subject"]))
+    def values(self, quantity: str, agent: str | None = None) -> list[float]:
+        """The values of a quantity, of one agent if several are in the file; one a seed of its training."""
+        rows = (r for r in self.content["rows"] if r.get("quantity") == quantity and agent in (None, r["agent"]))
         return [row["value"] for row in rows]
 
 
@@ -50,6 +50,13 @@ def blaming(path: Path) -> Iterator[None]:
         raise ValueError(f"{path} is not a result as expected: {why}; make it again or move it away.") from error
 
 
+def _present_names(content: Any) -> Any:
+    """A result with the keys of today: what is measured was once called "subject"."""
+    if isinstance(content, dict):
+        return {"agent" if key == "subject" else key: _present_names(value) for key, value in content.items()}
+    return [_present_names(value) for value in content] if isinstance(content, list) else content
+
+
 def read(folder: Path, name: str) -> Result:
     """The result file `name` in `folder`.
 
@@ -57,11 +64,11 @@ def read(folder: Path, name: str) -> Result:
       ValueError: it is no JSON, has no rows or no provenance, or the value of a quantity is no number.
     """
     with blaming(folder / name):
-        content = json.loads((folder / name).read_text())
+        content = _present_names(json.loads((folder / name).read_text()))
         for key in PROVENANCE:
             content["provenance"][key].strip()
         for row in content["rows"]:
-            if row.keys() >= {"subject", "quantity"}:
+            if row.keys() >= {"agent", "quantity"}:
                 row["value"] = float(row["value"])
     return Result(name, content)
 

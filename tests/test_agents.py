@@ -1,4 +1,4 @@
-"""Heuristic walkers and policies as subjects, and the names they go by."""
+"""Heuristic controllers and policies as agents, and the names they go by."""
 
 import jax
 import jax.numpy as jnp
