@@ -1,5 +1,6 @@
 """How runs end before their time: by signals, and by a learner whose numbers are not finite any more."""
 
+import io
 import json
 import math
 import signal
@@ -11,12 +12,13 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from rich.console import Console
 from tiny import TINY, config, session
 
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.training import checkpoint, runner
 from cassie_mjx.training.interruption import ONE_S
-from cassie_mjx.training.loggers import JsonLines
+from cassie_mjx.training.loggers import JsonLines, Terminal
 
 # The main thread is in a call that Python cannot interrupt, as in a compilation of XLA's.
 BUSY = """
@@ -82,6 +84,12 @@ def test_steps_that_are_far_too_large_are_said_to_be(tmp_path):
         runner.train_policy(config(tmp_path / "run", ppo=huge, evaluate_every=1))
     for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines():
         assert all(math.isfinite(value) for value in json.loads(line).values())
+
+
+def test_what_is_said_keeps_its_brackets():
+    console = Console(file=io.StringIO())
+    Terminal(console, iterations=1, done=0).say("velocity [rad/s] in runs/[a]")
+    assert console.file.getvalue() == "velocity [rad/s] in runs/[a]\n"
 
 
 def test_metrics_are_json_whatever_is_measured(tmp_path):

@@ -115,7 +115,7 @@ class Terminal:
         self._bar.stop()
 
     def say(self, sentence: str) -> None:
-        """Print a sentence."""
+        """Print a sentence as it is: what is in brackets, such as a unit, is no markup."""
         self._console.print(sentence, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
     def advance(self, reward: float, episode_steps: float, samples_per_s: float) -> None:

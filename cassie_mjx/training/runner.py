@@ -263,7 +263,7 @@ def train_policy(config: TrainConfig) -> Path:
     # Divergences are counted, and the first is kept; MuJoCo would print hundreds of lines about each.
     mujoco.set_mju_user_warning(lambda _: None)
     try:
-        with lock.hold(Path(str(config.run_dir)), console.print):
+        with lock.hold(Path(str(config.run_dir)), partial(console.print, soft_wrap=True, markup=False)):
             run = Runner(config, console)
             run.train()
     finally:
