@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any, ClassVar
 
 from rich.console import Console
+from rich.markup import escape
 from rich.status import Status
 from rich.table import Table
 
@@ -50,7 +51,7 @@ def main(config: EvaluateConfig) -> None:
             result = SUITES[suite](agent, EvalSetup(config.physics, config.long, progress))
         seconds[suite] = round(time.perf_counter() - began, 1)
         found = [{"subject": agent.name, **metric._asdict()} for metric in result.metrics]
-        console.print(table(f"{agent.name}: {suite}", found))
+        console.print(table(escape(f"{agent.name}: {suite}"), found))
         rows += found
         if result.cells is not None:
             cells[suite] = result.cells

@@ -87,7 +87,9 @@ def main(config: RenderConfig) -> None:
         frames = draw_frames(renderer, drawn, config.camera, config.terrain)
         write_video(Path(config.out), frames, config.width, config.height, config.fps)
     fell_s = shots[-1].fell_s
-    console.print(f"{config.out}: {agent.name} {'stayed up' if fell_s is None else f'fell after {fell_s:.2f} s'}.")
+    console.print(
+        f"{config.out}: {agent.name} {'stayed up' if fell_s is None else f'fell after {fell_s:.2f} s'}.", markup=False
+    )
 
 
 def run() -> None:

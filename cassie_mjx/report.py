@@ -25,7 +25,7 @@ class ReportConfig(Checked):
 
 def main(config: ReportConfig) -> None:
     """Write the page, and say what was left out."""
-    folder, console = Path(config.results), Console(stderr=True, soft_wrap=True, highlight=False)
+    folder, console = Path(config.results), Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
     if not folder.is_dir():
         raise ValueError(f"results={folder} is not a folder; name the one with the evaluation files.")
     out = cli.check_writable(config.out)

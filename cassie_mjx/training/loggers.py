@@ -114,7 +114,7 @@ class Terminal:
 
     def say(self, sentence: str) -> None:
         """Print a sentence."""
-        self._console.print(sentence, soft_wrap=True, highlight=False)
+        self._console.print(sentence, soft_wrap=True, highlight=False, markup=False)
 
     def advance(self, reward: float, episode_steps: float, samples_per_s: float) -> None:
         """Move the bar on by an iteration."""
