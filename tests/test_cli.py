@@ -66,7 +66,7 @@ def test_parse_reads_values_of_their_types():
             "rates=[500,1000: '[500' is not a whole number.",
         ),
         ("--robots=5", "'--robots' is not a key; the keys are out, robots, rates. Did you mean robots?"),
-        ("--robots", "'--robots' is not of the form key=value; the keys are out, robots, rates. Write robots=...."),
+        ("--robots", "'--robots' is not of the form key=value; the keys are out, robots, rates. Write robots=VALUE."),
         ("robots:5", "'robots:5' is not of the form key=value; the keys are out, robots, rates. Write robots=5."),
         ("5", "'5' is not of the form key=value; the keys are out, robots, rates."),
     ],

@@ -301,5 +301,5 @@ def test_bad_configurations():
         WalkConfig(start_offset_m=4)
     with pytest.raises(ValueError, match=r"command_s=0 must be from 0\.032 to 3,600, or null"):
         WalkConfig(command_s=0)
-    with pytest.raises(ValueError, match="episode_steps=0 must be a whole number from 1 to 1,000,000"):
+    with pytest.raises(ValueError, match="episode_steps=0 must be a whole number from 1 to 1,073,741,824"):
         WalkConfig(episode_steps=0)

@@ -1,17 +1,20 @@
 """What values can be: ranges and choices, the same for a command line and for a program."""
 
+import io
 import runpy
 from dataclasses import dataclass
 from typing import Annotated, get_args
 
 import numpy as np
 import pytest
+from rich.console import Console
 from test_help import COMMANDS
 
 from cassie_mjx import cli
 from cassie_mjx.cli.keys import keys_of
 from cassie_mjx.configuration.values import Checked, Range, label
 from cassie_mjx.training.config import PRESETS, TrainConfig
+from cassie_mjx.training.loggers import Terminal
 from experiments.agreement import AgreementConfig
 from experiments.contacts import ContactsConfig
 from experiments.portrait import PortraitConfig
@@ -124,3 +127,9 @@ def test_labels_are_names_and_differ():
     assert len(set(labels)) == len(texts)
     assert all("/" not in each and len(each) < 200 for each in labels)
     assert label({}) == ""
+
+
+def test_brackets_in_a_name_are_printed():
+    console = Console(file=io.StringIO())
+    Terminal(console, 1, 0).say("The policy: runs/a[old]/best.npz")
+    assert console.file.getvalue() == "The policy: runs/a[old]/best.npz\n"

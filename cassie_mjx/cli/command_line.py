@@ -118,7 +118,7 @@ def _split(argument: str, keys: Mapping[str, Key], renamed: Mapping[str, str]) -
     name, equals, text = argument.partition("=")
     if not equals:
         word, _, value = argument.lstrip("-").partition(":")
-        hint = f" Write {word}={value or '...'}." if word in keys else ""
+        hint = f" Write {word}={value or 'VALUE'}." if word in keys else ""
         raise ValueError(
             f"{argument!r} is not of the form key=value; the keys are {', '.join(_level(keys, ''))}.{hint}"
         )

@@ -29,7 +29,7 @@ class WalkConfig(Checked):
     """How far ahead of the reference motion or behind it an episode ends, m, a device of training; null for nowhere.
 
     Without it robots that are told to walk fast learn to do without the position's share of the reward."""
-    episode_steps: Annotated[int, Range(1, 1_000_000)] = 300
+    episode_steps: Annotated[int, Range(1, 2**30)] = 300
     """Control steps of a full episode; 300 are 9.6 s."""
     start_velocity_mps: Annotated[float, Range(0, 3)] = 0.5
     """How far from the reference's the pelvis' horizontal velocity may be as an episode begins, m/s, in any direction.

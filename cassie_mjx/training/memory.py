@@ -11,8 +11,9 @@ from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.robot import cassie
 
-# Measured at the process' peak, MuJoCo C: 4.6 kB a sample of 80 numbers and 64 units; a robot's state on MJX has 40 kB.
-COPIES_OF_OBSERVATIONS, COPIES_OF_LAYERS, COPIES_OF_WEIGHTS = 12, 2, 10
+# Measured on MuJoCo C at the process' peak: 4.6 kB a sample of 80 numbers and 64 units, 54 B a weight, 110 kB a robot
+# with a history of 27 kB. A robot's state on MJX has 40 kB.
+COPIES_OF_OBSERVATIONS, COPIES_OF_LAYERS, COPIES_OF_WEIGHTS, COPIES_OF_HISTORY = 12, 2, 13, 4
 BYTES_OF_MJX_ROBOT = 80_000
 
 
@@ -22,7 +23,7 @@ def needed_bytes(ppo: PPOConfig, walk: WalkConfig, physics: str, physics_hz: int
     sample = 4 * (COPIES_OF_OBSERVATIONS * observed + COPIES_OF_LAYERS * max(widths))
     weights = sum(a * b for a, b in pairwise((observed, *widths, cassie.NU)))
     history = walk.scenario.delay_steps(physics_hz) + 1
-    robot = 8 * history * (cassie.NQ + cassie.NV) + BYTES_OF_MJX_ROBOT * (physics == "mjx")
+    robot = 8 * COPIES_OF_HISTORY * history * (cassie.NQ + cassie.NV) + BYTES_OF_MJX_ROBOT * (physics == "mjx")
     return ppo.num_samples * sample + 4 * COPIES_OF_WEIGHTS * weights + ppo.num_robots * robot
 
 
