@@ -14,6 +14,7 @@ import pytest
 from seeing import FULL
 
 from cassie_mjx import export as export_command
+from cassie_mjx.agents import numpy_policy
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy_file import learner_policy, save_policy
 from cassie_mjx.agents.shipped import policy_path, shipped_policies
@@ -88,6 +89,7 @@ def test_the_file_explains_itself(path):
 def test_it_needs_numpy_alone(path):
     program = f"""
 import sys, numpy
+from cassie_mjx.agents import numpy_policy
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 print(NumpyPolicy.load({str(path)!r})(numpy.zeros(80)).shape)
 print(sorted({{"jax", "flax", "mujoco", "brax", "orbax"}} & set(sys.modules)))
@@ -178,6 +180,14 @@ def test_what_is_not_finite_is_refused(path, name, value):
     rewrite(path, **{name: array})
     with pytest.raises(ValueError, match=rf"policy\.npz is damaged: .* \({name} holds NaN or infinity\)"):
         NumpyPolicy.load(path)
+
+
+def test_another_kind_of_network_is_refused(path, monkeypatch):
+    monkeypatch.setattr(numpy_policy, "KIND", "perceptron, ELU")
+    with pytest.raises(ValueError, match=r"policy\.npz is a perceptron, ReLU; this version runs a perceptron, ELU"):
+        NumpyPolicy.load(path)
+    with pytest.raises(ValueError, match=r"1x\.npz is a perceptron, ReLU"):
+        NumpyPolicy.load(shipped_policies()["1x"])
 
 
 def test_another_observation_is_refused(path):

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cassie_mjx.control.network import Network, action
+from cassie_mjx.control.network import KIND, Network, action
 from cassie_mjx.files import archive
 from cassie_mjx.robot import cassie
 
@@ -23,6 +23,7 @@ FORMAT = "cassie-mjx policy"
 _ARRAYS = ("mean", "std", "reference_qpos", "reference_qvel", "p_gain", "d_gain")
 _NUMBERS = ("clip", "samples", "speed", "reference_stride_length")
 _LISTS = ("joints", "observation")
+_FIRST_KIND = "perceptron, ReLU"  # of files that do not say which
 
 
 class Mirror(NamedTuple):
@@ -121,6 +122,9 @@ class NumpyPolicy:
         """
         found = archive.read(Path(path), FORMAT)
         _check_names(found.arrays, Path(path))
+        network = str(found.arrays.get("network", _FIRST_KIND))
+        if network != KIND:
+            raise ValueError(f"The network of {path} is a {network}; this version runs a {KIND} alone.")
         try:
             policy = cls(**_fields(found.arrays), provenance=found.provenance)
         except ValueError as error:
@@ -144,6 +148,7 @@ def _check_names(content: Mapping[str, np.ndarray], path: Path) -> None:
     """Raise ValueError unless a file has the arrays of a policy, and no others."""
     expected = {"layers", *_ARRAYS, *_NUMBERS, *_LISTS}
     expected |= {f"{kind}_{i}" for kind in ("weight", "bias") for i in range(_layers(content))}
+    expected |= {"network"} & content.keys()
     expected |= set(MIRROR_ARRAYS) if set(MIRROR_ARRAYS) & content.keys() else set()
     if content.keys() != expected:
         raise ValueError(f"{path} is damaged: {', '.join(sorted(expected ^ content.keys()))} missing or too much.")

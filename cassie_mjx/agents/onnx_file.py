@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from cassie_mjx.agents.numpy_policy import FORMAT, NumpyPolicy
+from cassie_mjx.control.network import KIND
 from cassie_mjx.files.archive import VERSION
 from cassie_mjx.files.atomic import write_bytes
 from cassie_mjx.robot import cassie
@@ -50,6 +51,8 @@ def save_onnx(path: Path, policy: NumpyPolicy, source: str) -> None:
       OSError: it cannot be written.
     """
     onnx = _import_onnx()
+    if KIND != "perceptron, ReLU":
+        raise ValueError(f"An ONNX file can be a perceptron, ReLU; teach `_network` of this module a {KIND}.")
     model = onnx.helper.make_model(
         _graph(onnx, policy),
         opset_imports=[onnx.helper.make_opsetid("", OPSET)],

@@ -13,6 +13,7 @@ import numpy as np
 from cassie_mjx.agents.numpy_policy import FORMAT, MIRROR_ARRAYS, NumpyPolicy
 from cassie_mjx.agents.saved_law import control_law, file_mirror
 from cassie_mjx.control.law import ControlLaw
+from cassie_mjx.control.network import KIND
 from cassie_mjx.files import archive
 from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.ppo import networks, normalizer
@@ -57,6 +58,7 @@ def _network_arrays(policy: Policy) -> dict[str, Any]:
         **{f"weight_{i}": weight for i, (weight, _) in enumerate(layers)},
         **{f"bias_{i}": bias for i, (_, bias) in enumerate(layers)},
         "layers": len(layers),
+        "network": KIND,
         "mean": statistics.mean,
         "std": normalizer.std(statistics),
         "clip": normalizer.CLIP,

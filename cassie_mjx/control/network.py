@@ -5,6 +5,9 @@ from typing import NamedTuple
 
 from cassie_mjx.robot.arrays import Array, namespace
 
+KIND = "perceptron, ReLU"
+"""What `perceptron` is. A policy's file says so, and is refused where another kind would run it."""
+
 Layers = Sequence[tuple[Array, Array]]
 """(W [inputs, outputs], b [outputs]) of each layer, first to last."""
 
