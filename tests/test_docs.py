@@ -91,7 +91,7 @@ def test_everything_runs_in_order(tmp_path):
         (tmp_path / folder).symlink_to(ROOT / folder)
     (tmp_path / "docs" / "gallery").mkdir(parents=True)
     cache = {"JAX_COMPILATION_CACHE_DIR": str(ROOT / ".cache" / "jax")}
-    environment = {**os.environ, **cache, "PYTHONPATH": str(tmp_path)}
+    environment = {**os.environ, **cache, "PYTHONPATH": str(tmp_path), "WANDB_MODE": "offline"}
 
     def run(words):
         done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)

@@ -53,10 +53,11 @@ class Allowed(NamedTuple):
         """Raise ValueError if the value of the field of that name cannot be; the sentence says what can."""
         if value is None and self.optional:
             return
-        if self.choices and value not in self.choices:
-            hint = did_you_mean(str(value), self.choices)
-            raise ValueError(f"{name}={shown(value)} is not known; choose one of {', '.join(self.choices)}.{hint}")
         values = value if isinstance(value, tuple | list) else (value,)
+        unknown = [each for each in values if self.choices and each not in self.choices]
+        if unknown:
+            hint = did_you_mean(str(unknown[0]), self.choices)
+            raise ValueError(f"{name}={shown(value)} is not known; choose one of {', '.join(self.choices)}.{hint}")
         if self.length not in (None, len(values)):
             raise ValueError(f"{name}={shown(value)} must be {self.length} values, with commas between.")
         if not all(self._within(each) for each in values):

@@ -13,8 +13,10 @@ from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.physics.make import ENGINES
 from cassie_mjx.ppo import learner
 from cassie_mjx.ppo.config import PPO_PRESETS, PPOConfig
+from cassie_mjx.robot.drawing import choose_backend
 from cassie_mjx.robot.model import CONTACTS, PhysicsHz, steps_per_control
 from cassie_mjx.training.memory import check_memory
+from cassie_mjx.training.trackers import TRACKERS, check_installed
 
 PRESETS = {"walk": ("undisturbed", WALK_PRESETS), "ppo": ("parallel", PPO_PRESETS)}
 """Presets that a command line can choose from, and which is the default."""
@@ -39,11 +41,23 @@ def present_names(config: dict[str, Any]) -> dict[str, Any]:
     return {renamed(key): value for key, value in config.items()}
 
 
+def flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A nested configuration by dotted names."""
+    values = {}
+    for name, value in config.items():
+        values |= flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
+    return values
+
+
+LOGS = ("jsonl", "tensorboard", *TRACKERS)
+"""Where numbers can go."""
+
+
 @dataclass(frozen=True)
 class TrainConfig(Checked):
     """A training run."""
 
-    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"physics": ("auto", *ENGINES), "contacts": CONTACTS}
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"physics": ("auto", *ENGINES), "contacts": CONTACTS, "log": LOGS}
 
     speed: str = "1x"
     """Factor on the pelvis x of the reference motion, from "0x" to "4x"; "any" commands one after another."""
@@ -67,6 +81,12 @@ class TrainConfig(Checked):
     """The learner: a preset (ppo=paper) and single values (ppo.gamma=0.98)."""
     evaluate_every: Annotated[int, Range(1, 1_000_000)] = 10
     """Iterations between measurements of the return; each is followed by a checkpoint."""
+    log: tuple[str, ...] = ("jsonl", "tensorboard")
+    """Where the numbers of each evaluation go besides the terminal: "jsonl", metrics.jsonl; "tensorboard"; "wandb" and
+    "mlflow", which are extras of this package."""
+    video_every: Annotated[int, Range(0, 1_000_000)] = 0
+    """Evaluations from one film of the policy to the next, in films/ of the run's directory and for each tracker; 0 for
+    no films."""
     run_dir: str | None = None
     """Directory of the run; null for runs/<speed>-seed<seed>."""
     resume: bool = False
@@ -111,5 +131,8 @@ def resolve_config(config: TrainConfig) -> TrainConfig:
     elif jax.process_count() > 1:
         raise ValueError("physics=native runs in one process; choose physics=mjx to train with several.")
     physics_hz = config.physics_hz or ENGINES[physics].training.physics_hz
+    check_installed(config.log)
+    if config.video_every:
+        choose_backend()
     check_memory(config.ppo, config.walk, physics, physics_hz)
     return replace(config, physics=physics, physics_hz=physics_hz, run_dir=str(config.folder))

@@ -5,17 +5,21 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import jax
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from tensorboardX.event_file_writer import EventsWriter
 from tensorboardX.proto.event_pb2 import Event, SessionLog
+from tensorboardX.proto.summary_pb2 import Summary
 from tensorboardX.summary import scalar
 
 from cassie_mjx.files.atomic import write_text
+from cassie_mjx.training.config import TrainConfig, flat
+from cassie_mjx.training.trackers import TRACKERS
 
 R = TypeVar("R")
 
@@ -43,6 +47,31 @@ class Stopwatch:
         return seconds
 
 
+class Sink(Protocol):
+    """Where the numbers of evaluations go, and films."""
+
+    def write(self, values: Mapping[str, float]) -> None:
+        """Take the values of an evaluation, among them train/samples."""
+        ...
+
+    def film(self, path: Path, samples: int) -> None:
+        """Take a film, .gif, of the policy after `samples` samples."""
+        ...
+
+    def close(self) -> None:
+        """Take note that nothing follows."""
+        ...
+
+
+def sinks(folder: Path, config: TrainConfig, samples: int) -> list[Sink]:
+    """What `config.log` names, for a run in `folder` that goes on after `samples` samples."""
+    ours = {
+        "jsonl": lambda: JsonLines(folder / "metrics.jsonl", samples),
+        "tensorboard": lambda: TensorBoard(folder / "tensorboard", samples),
+    }
+    return [ours[name]() if name in ours else TRACKERS[name](folder, flat(asdict(config))) for name in config.log]
+
+
 class JsonLines:
     """One JSON object a line."""
 
@@ -62,6 +91,12 @@ class JsonLines:
         with _writing(self._path), self._path.open("a") as file:
             finite = {name: value if math.isfinite(value) else None for name, value in values.items()}
             file.write(json.dumps(finite) + "\n")
+
+    def film(self, path: Path, samples: int) -> None:
+        """Leave the film where it is."""
+
+    def close(self) -> None:
+        """Nothing is open."""
 
 
 class TensorBoard:
@@ -86,6 +121,19 @@ class TensorBoard:
             for name, value in values.items():
                 self._writer.write_event(Event(wall_time=now, step=step, summary=scalar(name, value)))
             self._writer.flush()
+
+    def film(self, path: Path, samples: int) -> None:
+        """Add the film to the images."""
+        image = Summary.Image(encoded_image_string=path.read_bytes())
+        with _writing(self._folder):
+            summary = Summary(value=[Summary.Value(tag="film", image=image)])
+            self._writer.write_event(Event(wall_time=time.time(), step=samples, summary=summary))
+            self._writer.flush()
+
+    def close(self) -> None:
+        """Write what is left."""
+        with _writing(self._folder):
+            self._writer.close()
 
 
 class Terminal:

@@ -22,9 +22,10 @@ from cassie_mjx.motion.files import SHIPPED, load_motion
 from cassie_mjx.motion.reference import ReferenceMotion, stretch
 from cassie_mjx.physics.make import ENGINES
 from cassie_mjx.training import checkpoint, counters, devices, lock
-from cassie_mjx.training.config import TrainConfig, present_names
+from cassie_mjx.training.config import TrainConfig, flat, present_names
 
-OWN = ("checkpoints", "metrics.jsonl", "best.npz", "last.npz", "tensorboard", "nan")
+_NO_PART = ("resume", "run_dir", "distributed", "log", "video_every")
+OWN = ("checkpoints", "metrics.jsonl", "best.npz", "last.npz", "tensorboard", "films", "nan")
 """What a run writes besides its configuration."""
 
 CONFIG = "config.json"
@@ -93,7 +94,7 @@ def resume_command() -> str:
 
 def comparable(config: dict[str, Any]) -> dict[str, Any]:
     """What makes a run the run it is, flat and as JSON gives it back."""
-    kept = {name: value for name, value in _flat(config).items() if name not in ("resume", "run_dir", "distributed")}
+    kept = {name: value for name, value in flat(config).items() if name not in _NO_PART}
     return json.loads(json.dumps(kept))
 
 
@@ -218,10 +219,3 @@ def _write(folder: Path, content: dict[str, Any]) -> None:
         cli.write_json(folder / CONFIG, content)
     except OSError as error:
         raise OSError(f"The run directory {folder} cannot be written ({error.strerror or error}).") from error
-
-
-def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat = {}
-    for name, value in config.items():
-        flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
-    return flat

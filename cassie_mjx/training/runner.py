@@ -26,11 +26,12 @@ from cassie_mjx.physics.make import make_physics
 from cassie_mjx.ppo import networks
 from cassie_mjx.ppo.types import Policy
 from cassie_mjx.robot.model import ModelConfig
-from cassie_mjx.training import checkpoint, counters, devices, divergence, lock, run_directory, sentences
+from cassie_mjx.training import checkpoint, counters, devices, divergence, lock, loggers, run_directory, sentences
 from cassie_mjx.training.config import TrainConfig, resolve_config
 from cassie_mjx.training.counters import NOT_MEASURED, Counters, IntervalStats
+from cassie_mjx.training.films import film_policy
 from cassie_mjx.training.interruption import Interruption
-from cassie_mjx.training.loggers import JsonLines, TensorBoard, Terminal
+from cassie_mjx.training.loggers import Terminal
 from cassie_mjx.training.trainer import IterationMetrics, RunState, Trainer, initial_policy, unlike
 
 
@@ -64,7 +65,7 @@ class Runner:
         self.begins = restored is None
         self.notes += unlike(config, init, self.motion) if init else []
         self.terminal = Terminal(console, config.ppo.iterations, self.done)
-        self.sinks = self._sinks() if devices.is_first() else ()
+        self.sinks = loggers.sinks(self.folder, config, self.samples) if devices.is_first() else []
         self.law, self.speeds = config.walk.law, speeds
         self.eval_engine = make_physics("native", ModelConfig())
         motion = self.trainer.env.motion
@@ -100,6 +101,8 @@ class Runner:
                 self._iterate()
             if self.saved != self.done:
                 self._save()
+        for sink in self.sinks:
+            sink.close()
         if stopped:
             self.terminal.say(
                 f"Stopped and saved after iteration {self.done}. To go on:\n  {run_directory.resume_command()}"
@@ -170,10 +173,6 @@ class Runner:
         )
         self.terminal.say(f"Physics diverged in iteration {self.done}, which ended an episode; {kept}.")
 
-    def _sinks(self) -> tuple[JsonLines, TensorBoard, Terminal]:
-        lines = JsonLines(self.folder / "metrics.jsonl", self.samples)
-        return lines, TensorBoard(self.folder / "tensorboard", self.samples), self.terminal
-
     def _count(self, seconds: float) -> None:
         self.counters.train_s += seconds
         self.interval.train_s += seconds
@@ -193,13 +192,24 @@ class Runner:
         began = time.perf_counter()
         policy, returns = self._returns()
         values = self._values(metrics, returns, time.perf_counter() - began)
-        for sink in self.sinks:
+        for sink in (*self.sinks, self.terminal):
             sink.write(values)
+        every = self.config.video_every * self.config.evaluate_every
+        if every and self.done % every == 0:
+            self._film(policy)
         self._keep(policy, returns)
         clipping = sentences.clipping(np.asarray(metrics.clipped), self.law.observation.describe())
         if clipping and (not self.clipping_told or self.done == self.config.ppo.iterations):
             self.clipping_told = True
             self.terminal.say(clipping)
+
+    def _film(self, policy: Policy) -> None:
+        """Film the policy for whoever takes films."""
+        path = self.folder / "films" / f"{self.done:06}.gif"
+        path.parent.mkdir(exist_ok=True)
+        film_policy(path, self._agent(policy))
+        for sink in self.sinks:
+            sink.film(path, self.samples)
 
     def _keep(self, policy: Policy, returns: dict[str, float]) -> None:
         """Write the policy as the last one and, if it is that, as the best one."""
