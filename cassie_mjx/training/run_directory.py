@@ -216,6 +216,6 @@ def _change(folder: Path, held: dict[str, Any], wanted: dict[str, Any], iteratio
 def _write(folder: Path, content: dict[str, Any]) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        cli.write_json(folder / CONFIG, content)
     except OSError as error:
         raise OSError(f"The run directory {folder} cannot be written ({error.strerror or error}).") from error
+    cli.write_json(folder / CONFIG, content)
