@@ -24,7 +24,7 @@ test: setup      ## linters, types and tests
 	$(RUN) -m ruff check .
 	$(RUN) -m ruff format --check .
 	$(RUN) -m pyright --pythonpath $(RUN)
-	$(RUN) -m pytest -m 'not slow'
+	$(RUN) -m pytest -n 2 --dist loadfile -m 'not slow'
 
 test-all: setup  ## the same with the slow tests
 	$(RUN) -m pytest

@@ -28,9 +28,10 @@ def names(config_class, prefix=""):
             yield prefix + field.name
 
 
-def helped(monkeypatch, capsys, path):
+def helped(monkeypatch, capsys, path, columns="120"):
     """What a file prints for --help: entries name=default to text, the whole, and the command's configuration."""
     configs, run = [], cli.run
+    monkeypatch.setenv("COLUMNS", columns)
     monkeypatch.setattr(cli, "run", lambda main, config, *more: configs.append(config) or run(main, config, *more))
     monkeypatch.setattr(sys, "argv", [str(path), "--help"])
     runpy.run_path(str(path), run_name="__main__")
@@ -56,8 +57,7 @@ def test_help_has_every_key_with_its_sentence(monkeypatch, capsys, path):
 
 
 def test_help_has_defaults_choices_and_presets(monkeypatch, capsys):
-    monkeypatch.setenv("COLUMNS", "70")
-    entries, shown, _ = helped(monkeypatch, capsys, ROOT / "cassie_mjx" / "train.py")
+    entries, shown, _ = helped(monkeypatch, capsys, ROOT / "cassie_mjx" / "train.py", columns="70")
     assert max(map(len, shown.splitlines())) <= 70
     assert entries["init=null"].startswith("Policy to start from")
     assert entries["physics=auto"].endswith("Choices: auto, native, mjx.")

@@ -175,7 +175,7 @@ def test_bad_input_gets_one_sentence(physics, states):
         physics.advance(state, targets, replace(scenario, delay=scenario.delay + 2), 1)
 
 
-@pytest.mark.parametrize("batch", [64, 256])
+@pytest.mark.parametrize("batch", [pytest.param(64, marks=pytest.mark.slow), 256])
 def test_large_batches_finish(batch):
     """jaxlib 0.10 hangs here on machines with few cores: its batched Cholesky waits for the thread pool it runs on."""
     program = f"""

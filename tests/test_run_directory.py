@@ -142,7 +142,9 @@ def test_a_start_that_a_full_disk_cut_short_can_be_made_again(tmp_path, monkeypa
 
     with monkeypatch.context() as patched:
         patched.setattr(Path, "replace", full)
-        with pytest.raises(OSError, match=r"config\.json could not be written \(No space left on device\); nothing was"):
+        with pytest.raises(
+            OSError, match=r"config\.json could not be written \(No space left on device\); nothing was"
+        ):
             claim(tmp_path / "run", resume=resume)
     (tmp_path / "run" / "config.json.partial").write_text("{")
     (tmp_path / "run" / "run.lock").write_text("")

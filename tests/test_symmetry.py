@@ -98,7 +98,10 @@ def states_of(env, act, delay):
         yield state, np.asarray(motions.reference(env.motion, state.motion, ahead=1)[0])
 
 
-@pytest.mark.parametrize(("engine", "speeds"), [("native", (1.0, 1.0)), ("native", (0.0, 4.0)), ("mjx", (1.0, 1.0))])
+@pytest.mark.parametrize(
+    ("engine", "speeds"),
+    [("native", (1.0, 1.0)), ("native", (0.0, 4.0)), pytest.param("mjx", (1.0, 1.0), marks=pytest.mark.slow)],
+)
 def test_a_policy_does_in_both_steps_what_it_learned_in_one(motion, policy, engine, speeds):
     delay = 3 if engine == "native" else 0
     physics = make_physics(engine, replace(MJX_TRAINING, physics_hz=500), max_delay=delay)
