@@ -13,6 +13,7 @@ from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from tests import tiny
 from tests.fuzz.outcome import DIFFERENT, LOST, SAME, TRACEBACK, Outcome
 
+ROOT = Path(__file__).parents[2]
 STOPS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 ARGUMENTS = [word for word in tiny.ARGUMENTS if not word.startswith("ppo.iterations")] + ["ppo.iterations=12"]
 STOPPED = {0, 128 + signal.SIGINT, 128 + signal.SIGTERM, -signal.SIGKILL}
@@ -20,7 +21,8 @@ STOPPED = {0, 128 + signal.SIGINT, 128 + signal.SIGTERM, -signal.SIGKILL}
 
 def _start(run: Path) -> subprocess.Popen[str]:
     words = ["-m", "cassie_mjx.train", f"run_dir={run}", "resume=true", *ARGUMENTS]
-    return subprocess.Popen([sys.executable, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    return subprocess.Popen([sys.executable, *words], cwd=ROOT, text=True, **pipes)
 
 
 def _end(run: Path) -> object:

@@ -1,5 +1,6 @@
 """Wrong values for every key of every command and experiment, and commands that are run with some of them."""
 
+import os
 import random
 import runpy
 import shlex
@@ -16,6 +17,7 @@ from tests import tiny
 from tests.fuzz.outcome import HANG, REFUSED, SAME, TRACEBACK, Outcome, one_sentence, tried
 
 ROOT = Path(__file__).parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 FILES = [path for folder in ("cassie_mjx", "experiments") for path in sorted((ROOT / folder).glob("*.py"))]
 COMMANDS = [path for path in FILES if "__main__" in path.read_text()]
 
@@ -66,25 +68,40 @@ def attempts(count: int, seed: int) -> Iterator[Outcome]:
 
 
 def run_attempts(folder: Path, count: int, seed: int) -> Iterator[Outcome]:
-    """`count` wrong values to each command, run to its end: status 0, or 2 and one sentence, within two minutes."""
+    """`count` odd values to each command that are not refused at once, run to the end within two minutes.
+
+    The end is status 0, or 2 and one sentence.
+    """
     rng = random.Random(f"runs {seed}")
-    for name, _, keys in configurations():
+    for name, (config, *more), keys in configurations():
         package, command = name.split(".")
         if package != "cassie_mjx" or command not in SMALL:
             continue
         # One of several processes would wait for the others.
-        chosen = [key for key in keys if key != "distributed"]
+        pairs = [f"{key}={value}" for key in keys if key != "distributed" for value in VALUES]
+        rng.shuffle(pairs)
         for k in range(count):
             place = folder / f"{command}-{k}"
             place.mkdir()
             base = [word.format(folder=place) for word in SMALL[command]]
-            yield _run(["-m", name, *base, f"{rng.choice(chosen)}={rng.choice(VALUES)}"], place)
+            odd = next(pair for pair in iter(pairs.pop, None) if _is_taken(config, [*base, pair], more))
+            yield _run(["-m", name, *base, odd], place)
+
+
+def _is_taken(config: Any, arguments: list[str], more: list[Any]) -> bool:
+    try:
+        cli.parse(config, arguments, *more)
+    except ValueError:
+        return False
+    return True
 
 
 def _run(words: list[str], place: Path) -> Outcome:
     try:
         command = [sys.executable, *words]
-        done = subprocess.run(command, cwd=place, capture_output=True, text=True, check=False, timeout=120)
+        done = subprocess.run(
+            command, cwd=place, env=ENVIRONMENT, capture_output=True, text=True, check=False, timeout=120
+        )
     except subprocess.TimeoutExpired:
         return Outcome(HANG, shlex.join(words), "longer than 120 s")
     *_, last = done.stderr.strip().splitlines() or [""]
