@@ -21,8 +21,8 @@ STOPPED = {0, 128 + signal.SIGINT, 128 + signal.SIGTERM, -signal.SIGKILL}
 
 def _start(run: Path) -> subprocess.Popen[str]:
     words = ["-m", "cassie_mjx.train", f"run_dir={run}", "resume=true", *ARGUMENTS]
-    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
-    return subprocess.Popen([sys.executable, *words], cwd=ROOT, text=True, **pipes)
+    command = [sys.executable, *words]
+    return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 
 
 def _end(run: Path) -> object:
