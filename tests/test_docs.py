@@ -83,11 +83,15 @@ def shorter(words):
     return [*words, *SMALL.get(words[0], ())]
 
 
+def small(script):
+    return "from tests import tiny\n" + script.replace("TrainConfig(speed", "TrainConfig(ppo=tiny.TINY, speed")
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_everything_runs_in_order(tmp_path):
     """As a reader would who goes through the pages with one folder at hand."""
-    for folder in ("cassie_mjx", "experiments", "xml"):
+    for folder in ("cassie_mjx", "experiments", "tests", "xml"):
         (tmp_path / folder).symlink_to(ROOT / folder)
     (tmp_path / "docs" / "gallery").mkdir(parents=True)
     cache = {"JAX_COMPILATION_CACHE_DIR": str(ROOT / ".cache" / "jax")}
@@ -105,5 +109,5 @@ def test_everything_runs_in_order(tmp_path):
         for words in commands(page):
             if not any(word.startswith(LONG) for word in words):
                 failed.append(run([sys.executable, "-m", *shorter(words)]))
-        failed += [run([sys.executable, "-c", text]) for text in blocks(page, "python")]
+        failed += [run([sys.executable, "-c", small(text)]) for text in blocks(page, "python")]
     assert not any(failed), "\n".join(filter(None, failed))
