@@ -11,7 +11,7 @@ from typing import ClassVar
 from cassie_mjx import cli
 from cassie_mjx.agents.numpy_policy import FORMAT, NumpyPolicy
 from cassie_mjx.agents.onnx_file import PRODUCER, save_onnx
-from cassie_mjx.agents.shipped import find_policy
+from cassie_mjx.agents.shipped import existing_policy
 from cassie_mjx.configuration.values import Checked
 from cassie_mjx.files import archive
 
@@ -42,16 +42,16 @@ class ExportConfig(Checked):
         super().__post_init__()
         if (self.run is None) == (self.policy is None):
             raise ValueError("Either run or policy must be given, as in run=runs/1x-seed0 or policy=1x.")
-        if self.policy is not None and self.which != "best":
-            raise ValueError(f"which={self.which} is for a run; give run={self.policy}, or leave which out.")
+        if self.which != "best" and not (self.run and Path(self.run).is_dir()):
+            raise ValueError(f"which={self.which} is for a run's directory; give run=DIRECTORY, or leave which out.")
         if Path(self.out).suffix not in KINDS:
             raise ValueError(f"out={self.out} is no policy's file; name one that ends in {' or '.join(KINDS)}.")
 
     @property
     def source(self) -> Path:
         """The .npz file of the policy. Raises ValueError if there is no policy of that name."""
-        if self.policy:
-            return find_policy(self.policy)
+        if self.policy is not None:
+            return existing_policy(self.policy)
         run = Path(self.run or "")
         return run if run.is_file() else run / f"{self.which}.npz"
 

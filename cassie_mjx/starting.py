@@ -32,6 +32,12 @@ def end_at_once(*_: object) -> None:
     os._exit(INTERRUPTED)
 
 
+def environment() -> dict[str, str]:
+    """The environment as the user set it, for a process that this one starts."""
+    chosen = mujoco_gl()
+    return {**os.environ, **({"MUJOCO_GL": chosen} if chosen else {})}
+
+
 def mujoco_gl() -> str | None:
     """What the user has MuJoCo draw with, if anything."""
     return _mujoco_gl[-1] if _mujoco_gl else os.environ.get("MUJOCO_GL")

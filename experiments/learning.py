@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 
 from rich.table import Table
 
-from cassie_mjx import cli
+from cassie_mjx import cli, starting
 from cassie_mjx.configuration.values import Checked
 from cassie_mjx.envs.scenario import ScenarioConfig
 from cassie_mjx.reporting import plots
@@ -83,7 +83,8 @@ def train(folder: Path, variant: Variant, seed: int) -> None:
         return
     settings = variant.of(seed, folder.parent) | {"run_dir": str(folder), "resume": "true"}
     arguments = [f"{key}={value}" for key, value in settings.items()]
-    with subprocess.Popen([sys.executable, "-m", "cassie_mjx.train", *arguments]) as training:
+    command = [sys.executable, "-m", "cassie_mjx.train", *arguments]
+    with subprocess.Popen(command, env=starting.environment()) as training:
         try:
             status = training.wait()
         except SystemExit:

@@ -110,7 +110,10 @@ def summary(folder: Path) -> Table:
         if row.experiment in SUMMARY
     ]
     seeds = max((len(results) for _, results in measured), default=0)
-    note = f"MuJoCo C at 2 kHz; policies: mean of {seeds} training seeds (least to greatest)."
+    note = (
+        f"MuJoCo C at 2 kHz; policies: mean of {seeds} training seeds (least to greatest). `stiff` is a hand-made "
+        "controller. The paper does not say at which phase of the stride it pushed."
+    )
     return Table(header, rows, [note])
 
 

@@ -41,6 +41,19 @@ def give_root(spec, *kinds):
             pelvis.add_joint(name=f"pelvis-{name}", type=kind, axis=axis)
 
 
+def test_a_walk_begins_anew_by_reset_alone():
+    controller = Controller.load("1x")
+    qpos, qvel = controller.motion.qpos[0], controller.motion.qvel[0]
+    first = controller.step(0.0, qpos, qvel)
+    held = controller.step(0.01, qpos, qvel)
+    held += 1.0
+    np.testing.assert_array_equal(controller.step(0.02, qpos, qvel), first)
+    with pytest.raises(ValueError, match=r"The time went back from 0.02 to 0 s; call reset\(\)"):
+        controller.step(0.0, qpos, qvel)
+    controller.reset()
+    np.testing.assert_array_equal(controller.step(0.0, qpos, qvel), first)
+
+
 @pytest.fixture(scope="module")
 def scene():
     return mujoco.MjModel.from_xml_path(str(xml_path("flat")))

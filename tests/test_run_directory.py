@@ -146,7 +146,7 @@ def test_a_start_that_a_full_disk_cut_short_can_be_made_again(tmp_path, monkeypa
             OSError, match=r"config\.json could not be written \(No space left on device\); nothing was"
         ):
             claim(tmp_path / "run", resume=resume)
-    (tmp_path / "run" / "config.json.partial").write_text("{")
+    (tmp_path / "run" / "config.json.1a2b3c4d.partial").write_text("{")
     (tmp_path / "run" / "run.lock").write_text("")
     assert claim(tmp_path / "run", resume=resume).restored is None
     assert (tmp_path / "run" / "config.json").exists()

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from tiny import config, session
 
-from cassie_mjx.training import trackers
+from cassie_mjx.training import loggers, trackers
 from cassie_mjx.training.config import TrainConfig, resolve_config
 
 
@@ -79,3 +79,27 @@ def test_wandb_keeps_a_run_offline(tmp_path, monkeypatch):
     content = b"".join(path.read_bytes() for path in kept.rglob("*") if path.is_file())
     assert b"eval/return_plain" in content
     assert list(kept.rglob("*.gif"))
+
+
+class Broken(loggers.JsonLines):
+    def write(self, values):
+        raise RuntimeError("the network is down\nand more")
+
+
+def test_a_tracker_that_fails_does_not_end_the_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(loggers, "TRACKERS", {"wandb": lambda folder, config: Broken(folder / "broken", 0)})
+    said = []
+    sinks = loggers.Sinks(tmp_path, TrainConfig(log=("wandb", "jsonl")), 0, said.append)
+    for _ in range(2):
+        sinks.write({"train/samples": 1})
+    assert said == ["Broken failed and gets nothing more of this run: the network is down"]
+    assert len((tmp_path / "metrics.jsonl").read_text().splitlines()) == 2
+
+
+def test_a_tracker_that_does_not_start_is_told_in_a_sentence(tmp_path, monkeypatch):
+    def refuse(folder, config):
+        raise RuntimeError("no API key")
+
+    monkeypatch.setattr(loggers, "TRACKERS", {"wandb": refuse})
+    with pytest.raises(ValueError, match="log=wandb does not start: no API key"):
+        loggers.Sinks(tmp_path, TrainConfig(log=("wandb",)), 0, print)

@@ -133,3 +133,9 @@ def test_brackets_in_a_name_are_printed():
     console = Console(file=io.StringIO())
     Terminal(console, 1, 0).say("The policy: runs/a[old]/best.npz")
     assert console.file.getvalue() == "The policy: runs/a[old]/best.npz\n"
+
+
+@pytest.mark.parametrize("changes", [{"evaluate_every": (3, 4)}, {"log": "jsonl"}, {"seed": 10**400}])
+def test_one_value_is_no_tuple_and_a_huge_number_is_out_of_range(changes):
+    with pytest.raises(ValueError, match=f"^{next(iter(changes))}=.* must be "):
+        TrainConfig(**changes)

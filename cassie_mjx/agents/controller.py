@@ -151,7 +151,7 @@ class Controller:
 
     def reset(self) -> None:
         """Begin anew, at the start of the reference motion."""
-        self._step, self._carry, self._start_s = 0, None, None
+        self._step, self._carry, self._start_s, self._last_s = 0, None, None, -np.inf
         self._targets = np.zeros(cassie.NU)
 
     def initial_state(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -168,7 +168,7 @@ class Controller:
         Args:
           qpos: of the model, [nq].
           qvel: of the model, [nv].
-          command: forward velocity that the robot is told, m/s; the policy's own unless given.
+          command: commanded forward velocity, m/s; the policy's own unless given.
         """
         own_qpos, own_qvel = np.zeros((1, cassie.NQ)), np.zeros((1, cassie.NV))
         own_qpos[0, self.joints.own_qpos] = np.asarray(qpos)[self.joints.qpos]
@@ -181,14 +181,22 @@ class Controller:
         residual, self._carry = self.law.act(self._network, carry, seen)
         self._step += 1
         self._targets = target(ahead[0], residual)[0]
-        return self._targets
+        return self._targets.copy()
 
     def step(self, time: float, qpos: np.ndarray, qvel: np.ndarray, command: float | None = None) -> np.ndarray:
-        """PD targets at a time, s, for loops of any rate: new ones every 32 ms, else those held; see `__call__`."""
-        self._start_s = time if self._start_s is None else self._start_s
+        """PD targets at a time, s, for loops of any rate: new ones every 32 ms, else those held; see `__call__`.
+
+        Raises:
+          ValueError: the time is before that of the last call.
+        """
+        if time < self._last_s:
+            raise ValueError(
+                f"The time went back from {self._last_s:g} to {time:g} s; call reset() as a walk begins anew."
+            )
+        self._start_s, self._last_s = time if self._start_s is None else self._start_s, time
         if time - self._start_s >= self._step * cassie.CONTROL_PERIOD_S - 1e-9:
-            return self(qpos, qvel, command)
-        return self._targets
+            self(qpos, qvel, command)
+        return self._targets.copy()
 
     def torque(self, targets: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         """Joint torques [10] of the PD law, N·m, clipped to the motors' limits: P (target - q) - D qdot."""

@@ -7,7 +7,6 @@ exporter and, for the rest, the names of `NumpyPolicy`; lists of numbers and nam
 are JSON, and no digit is dropped.
 """
 
-import importlib.metadata
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from cassie_mjx.agents.numpy_policy import FORMAT, NumpyPolicy
+from cassie_mjx.cli.origin import version_of
 from cassie_mjx.control.network import KIND
 from cassie_mjx.files.archive import VERSION
 from cassie_mjx.files.atomic import write_bytes
@@ -58,7 +58,7 @@ def save_onnx(path: Path, policy: NumpyPolicy, source: str) -> None:
         opset_imports=[onnx.helper.make_opsetid("", OPSET)],
         ir_version=IR_VERSION,
         producer_name=PRODUCER,
-        producer_version=importlib.metadata.version("cassie-mjx"),
+        producer_version=version_of("cassie-mjx"),
         doc_string=USAGE,
     )
     onnx.helper.set_model_props(model, metadata(policy, source))

@@ -1,6 +1,6 @@
 """A policy as one .npz file that runs on NumPy alone: `python -m cassie_mjx.export run=runs/1x-seed0 out=policy.npz`.
 
-`cassie_mjx.numpy_policy` reads and runs it; here it is written, found, copied and handed to a learner.
+`cassie_mjx.agents.numpy_policy` reads and runs it; here it is written, and handed to a learner.
 """
 
 from collections.abc import Mapping

@@ -28,8 +28,12 @@ def policy_path(name: str) -> Path | None:
     return shipped or local
 
 
-def find_policy(name: str) -> Path:
+def existing_policy(name: str, key: str = "policy") -> Path:
     """The file of the policy that we ship as `name`, of the file `name`, or of the best one of the run there.
+
+    Args:
+      name: of the policy.
+      key: of the command line, for the sentence.
 
     Raises:
       ValueError: there is none, or two.
@@ -37,7 +41,7 @@ def find_policy(name: str) -> Path:
     path = policy_path(name)
     if path is None:
         known = ", ".join(shipped_policies())
-        raise ValueError(f"policy={name} is none of {known}, nor a policy's .npz file, nor a run's directory.")
+        raise ValueError(f"{key}={name} is none of {known}, nor a policy's .npz file, nor a run's directory.")
     return path
 
 
@@ -47,4 +51,4 @@ def load_policy(name: str | Path) -> NumpyPolicy:
     Raises:
       ValueError: there is none, or two, or its file is damaged.
     """
-    return NumpyPolicy.load(find_policy(str(name)))
+    return NumpyPolicy.load(existing_policy(str(name)))

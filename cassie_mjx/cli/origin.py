@@ -22,7 +22,7 @@ def provenance(**more: Any) -> dict[str, Any]:
         "date": datetime.date.today().isoformat(),
         "hardware": ", ".join([_processor(), f"{os.cpu_count()} cores", *_accelerators()]),
         "python": platform.python_version(),
-        "versions": {name: _version(name) for name in PACKAGES},
+        "versions": {name: version_of(name) for name in PACKAGES},
         **more,
     }
 
@@ -43,7 +43,8 @@ def _program(words: list[str]) -> list[str]:
     return ["python", "-m", f"cassie_mjx.{words[1]}"] if words[:1] == ["cassie-mjx"] else words[:3]
 
 
-def _version(package: str) -> str:
+def version_of(package: str) -> str:
+    """The installed version of a package, or that it is not installed."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:

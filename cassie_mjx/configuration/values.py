@@ -39,7 +39,7 @@ class Allowed(NamedTuple):
     """What a field's value can be, apart from its type."""
 
     choices: Collection[str] = ()
-    """What it can be, apart from null; empty if that is not a list of names."""
+    """Its choices; empty if any text will do."""
     range: Range | None = None
     """Where it can be, or each of a tuple's numbers; None if it holds no number."""
     whole: bool = False
@@ -48,11 +48,15 @@ class Allowed(NamedTuple):
     """How many values it has; None if that is free, or it is no tuple."""
     optional: bool = False
     """Whether it can be null."""
+    several: bool = False
+    """Whether it is a tuple."""
 
     def check(self, name: str, value: Any) -> None:
         """Raise ValueError if the value of the field of that name cannot be; the sentence says what can."""
         if value is None and self.optional:
             return
+        if isinstance(value, tuple | list) != self.several:
+            raise ValueError(f"{name}={shown(value)} must be {'a tuple of values' if self.several else 'one value'}.")
         values = value if isinstance(value, tuple | list) else (value,)
         unknown = [each for each in values if self.choices and each not in self.choices]
         if unknown:
@@ -69,9 +73,14 @@ class Allowed(NamedTuple):
         return f"{self.range}{', or null' if self.optional else ''}" if self.range else ""
 
     def _within(self, value: Any) -> bool:
-        fits = isinstance(value, Integral if self.whole else Real)
+        if not self.range:
+            return True
         # NaN is in no range.
-        return not self.range or (fits and self.range.least <= float(value) <= self.range.greatest)
+        return isinstance(value, self._number) and bool(self.range.least <= cast(Any, value) <= self.range.greatest)
+
+    @property
+    def _number(self) -> type:
+        return Integral if self.whole else Real
 
 
 class Checked:
@@ -123,7 +132,7 @@ def _allowed(kind: Any, choices: Collection[str]) -> Allowed:
     ranges = [each for part in parts for each in getattr(part, "__metadata__", ()) if isinstance(each, Range)]
     tuples = [get_args(part) for part in parts if get_origin(part) is tuple]
     length = len(tuples[0]) if tuples and ... not in tuples[0] else None
-    return Allowed(choices, ranges[0] if ranges else None, int in parts, length, NoneType in parts)
+    return Allowed(choices, ranges[0] if ranges else None, int in parts, length, NoneType in parts, bool(tuples))
 
 
 def _parts(kind: Any) -> Iterator[Any]:

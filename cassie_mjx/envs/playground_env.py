@@ -3,6 +3,7 @@
 Importing this module registers it: `mujoco_playground.registry.load("CassieWalk", config_overrides={"speed": "2x"})`.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
@@ -100,6 +101,8 @@ class CassiePlaygroundEnv(MjxEnv):
         given = self._config
         if given.ctrl_dt != cassie.CONTROL_PERIOD_S:
             raise ValueError(f"ctrl_dt={given.ctrl_dt} is not Cassie's; leave it at {cassie.CONTROL_PERIOD_S}.")
+        if not given.sim_dt > 0 or not math.isclose(1 / given.sim_dt, round(1 / given.sim_dt)):
+            raise ValueError(f"sim_dt={given.sim_dt} is no whole number of steps a second; use 0.002, 0.001 or 0.0005.")
         self._walk = make_env(given.speed, 1, "mjx", round(1 / given.sim_dt), _walk_config(given.walk), given.motion)
 
     def reset(self, rng: jax.Array) -> State:

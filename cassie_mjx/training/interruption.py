@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -26,15 +27,21 @@ class Interruption:
         self.signal, self._say = 0, say
 
     def __enter__(self) -> "Interruption":
+        # Python handles signals in its main thread alone; elsewhere a training runs to its end.
+        if threading.current_thread() is not threading.main_thread():
+            self._before = {}
+            return self
         self._reader, self._writer = os.pipe()
         os.set_blocking(self._writer, False)
         self._pipe_before = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
         self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
-        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread = threading.Thread(target=self._wait_for_second, daemon=True)
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        if not self._before:
+            return
         for number, handler in self._before.items():
             signal.signal(number, handler)
         signal.set_wakeup_fd(self._pipe_before)
@@ -45,14 +52,19 @@ class Interruption:
     def _note(self, number: int, _: FrameType | None) -> None:
         self.signal = number
 
-    def _watch(self) -> None:
+    def _wait_for_second(self) -> None:
         first = None
         while number := os.read(self._reader, 1):
             if number[0] not in SIGNALS:
                 continue
             if first is None:
+                # A terminal that is gone must not keep the second signal from being seen.
+                with suppress(Exception):
+                    self._say(
+                        "Stopping after this iteration, with a checkpoint; a second signal stops at once, without."
+                    )
                 first = time.monotonic()
-                self._say("Stopping after this iteration, with a checkpoint; a second signal stops at once, without.")
+                continue
             if time.monotonic() - first < ONE_S:
                 continue
             cursor = "\x1b[?25h" if sys.stderr.isatty() else ""

@@ -58,18 +58,60 @@ class Sink(Protocol):
         """Take a film, .gif, of the policy after `samples` samples."""
         ...
 
-    def close(self) -> None:
-        """Take note that nothing follows."""
+    def close(self, finished: bool) -> None:
+        """Take note that nothing follows, and whether the run is at its end."""
         ...
 
 
-def sinks(folder: Path, config: TrainConfig, samples: int) -> list[Sink]:
-    """What `config.log` names, for a run in `folder` that goes on after `samples` samples."""
-    ours = {
-        "jsonl": lambda: JsonLines(folder / "metrics.jsonl", samples),
-        "tensorboard": lambda: TensorBoard(folder / "tensorboard", samples),
-    }
-    return [ours[name]() if name in ours else TRACKERS[name](folder, flat(asdict(config))) for name in config.log]
+class Sinks:
+    """All sinks of a run as one; a tracker that fails gets nothing more, and the run goes on."""
+
+    def __init__(self, folder: Path, config: TrainConfig, samples: int, say: Callable[[str], None]) -> None:
+        """Begin what `config.log` names, for a run in `folder` that goes on after `samples` samples.
+
+        Raises:
+          ValueError: a tracker does not start.
+        """
+        ours = {
+            "jsonl": lambda: JsonLines(folder / "metrics.jsonl", samples),
+            "tensorboard": lambda: TensorBoard(folder / "tensorboard", samples),
+        }
+        self._say = say
+        self._sinks = [ours[name]() if name in ours else _tracker(name, folder, config) for name in config.log]
+
+    def write(self, values: Mapping[str, float]) -> None:
+        """See `Sink.write`."""
+        self._each(lambda sink: sink.write(values))
+
+    def film(self, path: Path, samples: int) -> None:
+        """See `Sink.film`."""
+        self._each(lambda sink: sink.film(path, samples))
+
+    def close(self, finished: bool) -> None:
+        """See `Sink.close`."""
+        self._each(lambda sink: sink.close(finished))
+
+    def _each(self, hand_on: Callable[[Sink], None]) -> None:
+        for sink in tuple(self._sinks):
+            try:
+                hand_on(sink)
+            except OSError:
+                raise
+            except Exception as error:
+                self._sinks.remove(sink)
+                self._say(f"{type(sink).__name__} failed and gets nothing more of this run: {_first_line(error)}")
+
+
+def _tracker(name: str, folder: Path, config: TrainConfig) -> Sink:
+    try:
+        return TRACKERS[name](folder, flat(asdict(config)))
+    except Exception as error:
+        raise ValueError(f"log={name} does not start: {_first_line(error)}") from error
+
+
+def _first_line(error: Exception) -> str:
+    """What an error of another library says, in short."""
+    return (str(error).strip() or type(error).__name__).splitlines()[0]
 
 
 class JsonLines:
@@ -95,7 +137,7 @@ class JsonLines:
     def film(self, path: Path, samples: int) -> None:
         """Leave the film where it is."""
 
-    def close(self) -> None:
+    def close(self, finished: bool) -> None:
         """Nothing is open."""
 
 
@@ -130,7 +172,7 @@ class TensorBoard:
             self._writer.write_event(Event(wall_time=time.time(), step=samples, summary=summary))
             self._writer.flush()
 
-    def close(self) -> None:
+    def close(self, finished: bool) -> None:
         """Write what is left."""
         with _writing(self._folder):
             self._writer.close()

@@ -6,6 +6,7 @@ began with, and the changes of its configuration since, each with the iteration 
 
 import hashlib
 import json
+import re
 import shlex
 import sys
 import zlib
@@ -31,7 +32,7 @@ OWN = ("checkpoints", "metrics.jsonl", "best.npz", "last.npz", "tensorboard", "f
 CONFIG = "config.json"
 
 # What a start that was cut short leaves, and what is there while a run is: neither makes a directory somebody's.
-_NOBODYS = (CONFIG + ".partial", lock.NAME)
+_NOBODYS = re.compile(rf"{re.escape(CONFIG)}(\.[0-9a-f]{{8}})?\.partial|{re.escape(lock.NAME)}")
 
 
 class Claim(NamedTuple):
@@ -103,10 +104,13 @@ def _look(folder: Path, resume: bool) -> dict[str, Any] | None:
     path = folder / CONFIG
     if path.exists():
         held = cli.read_json(path, "choose another run_dir.")
-        if not isinstance(held.get("config"), dict) or not isinstance(held.get("provenance", {}), dict):
+        provenance = held.get("provenance", {})
+        parts = (held.get("config"), provenance, isinstance(provenance, dict) and provenance.get("versions", {}))
+        if not all(isinstance(part, dict) for part in parts) or not isinstance(held.get("changes", []), list):
             raise ValueError(f"{path} cannot be read (it holds no configuration of a run); choose another run_dir.")
         return held | {"config": present_names(held["config"])}
-    there = {each.name for each in folder.iterdir()} - set(_NOBODYS) if folder.is_dir() else set()
+    names = {each.name for each in folder.iterdir()} if folder.is_dir() else set()
+    there = {name for name in names if not _NOBODYS.fullmatch(name)}
     # A job that a cluster starts again has the same command the first time.
     if resume and there:
         raise ValueError(f"{folder} holds files, but no run to resume; choose another run_dir.")
@@ -128,9 +132,8 @@ def _check_same(folder: Path, held: dict[str, Any], wanted: dict[str, Any], resu
     differing = {key for key in wanted if before[key] != wanted[key]}
     if resume:
         differing -= {key for key in differing if _may_change(key, held, wanted[key], begun)}
-    if {"physics", "physics_hz"} <= differing and ENGINES[before["physics"]].training.physics_hz == before[
-        "physics_hz"
-    ]:
+    engine = ENGINES.get(str(before["physics"]))
+    if {"physics", "physics_hz"} <= differing and engine and engine.training.physics_hz == before["physics_hz"]:
         differing.remove("physics_hz")  # it follows from the engine
     if differing:
         settings = [_argument(key, before[key]) for key in wanted if key in differing]

@@ -7,6 +7,8 @@ whatever ends it, the same command with resume=true goes on exactly where the la
 import os
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -26,12 +28,12 @@ from cassie_mjx.physics.make import make_physics
 from cassie_mjx.ppo import networks
 from cassie_mjx.ppo.types import Policy
 from cassie_mjx.robot.model import ModelConfig
-from cassie_mjx.training import checkpoint, counters, devices, divergence, lock, loggers, run_directory, sentences
+from cassie_mjx.training import checkpoint, counters, devices, divergence, lock, run_directory, sentences
 from cassie_mjx.training.config import TrainConfig, resolve_config
 from cassie_mjx.training.counters import NOT_MEASURED, Counters, IntervalStats
 from cassie_mjx.training.films import film_policy
 from cassie_mjx.training.interruption import Interruption
-from cassie_mjx.training.loggers import Terminal
+from cassie_mjx.training.loggers import Sinks, Terminal
 from cassie_mjx.training.trainer import IterationMetrics, RunState, Trainer, initial_policy, unlike
 
 
@@ -65,7 +67,7 @@ class Runner:
         self.begins = restored is None
         self.notes += unlike(config, init, self.motion) if init else []
         self.terminal = Terminal(console, config.ppo.iterations, self.done)
-        self.sinks = loggers.sinks(self.folder, config, self.samples) if devices.is_first() else []
+        self.sinks = Sinks(self.folder, config, self.samples, self.terminal.say) if devices.is_first() else None
         self.law, self.speeds = config.walk.law, speeds
         self.eval_engine = make_physics("native", ModelConfig())
         motion = self.trainer.env.motion
@@ -90,7 +92,7 @@ class Runner:
           ValueError: the learner's numbers are not finite any more; the last checkpoint and policies stay as they are.
         """
         config = self.config
-        with self.terminal, Interruption(self.terminal.say) as interruption:
+        with self.terminal, Interruption(self.terminal.say) as interruption, self._closing():
             self.terminal.say(f"{'Resuming' if self.done else 'Training'} in {self.folder}: {sentences.plan(config)}")
             for note in self.notes:
                 self.terminal.say(note)
@@ -101,14 +103,20 @@ class Runner:
                 self._iterate()
             if self.saved != self.done:
                 self._save()
-        for sink in self.sinks:
-            sink.close()
         if stopped:
             self.terminal.say(
                 f"Stopped and saved after iteration {self.done}. To go on:\n  {run_directory.resume_command()}"
             )
             sys.exit(128 + stopped)
         self.terminal.say(sentences.conclusion(self.folder / "best.npz", self.counters))
+
+    @contextmanager
+    def _closing(self) -> Iterator[None]:
+        try:
+            yield
+        finally:
+            if self.sinks:
+                self.sinks.close(self.done == self.config.ppo.iterations)
 
     def _begin(self) -> None:
         """What a run needs before its first iteration, or before it goes on."""
@@ -192,8 +200,9 @@ class Runner:
         began = time.perf_counter()
         policy, returns = self._returns()
         values = self._values(metrics, returns, time.perf_counter() - began)
-        for sink in (*self.sinks, self.terminal):
-            sink.write(values)
+        if self.sinks:
+            self.sinks.write(values)
+        self.terminal.write(values)
         every = self.config.video_every * self.config.evaluate_every
         if every and self.done % every == 0:
             self._film(policy)
@@ -206,10 +215,13 @@ class Runner:
     def _film(self, policy: Policy) -> None:
         """Film the policy for whoever takes films."""
         path = self.folder / "films" / f"{self.done:06}.gif"
-        path.parent.mkdir(exist_ok=True)
-        film_policy(path, self._agent(policy))
-        for sink in self.sinks:
-            sink.film(path, self.samples)
+        try:
+            path.parent.mkdir(exist_ok=True)
+            film_policy(path, self._agent(policy))
+        except (ValueError, OSError) as error:
+            self.terminal.say(f"There is no film of iteration {self.done}: {error}")
+        if self.sinks:
+            self.sinks.film(path, self.samples)
 
     def _keep(self, policy: Policy, returns: dict[str, float]) -> None:
         """Write the policy as the last one and, if it is that, as the best one."""

@@ -1,6 +1,7 @@
 """Where else a run's numbers and films can go: Weights & Biases and MLflow, an extra of this package each."""
 
 import importlib
+import time
 import uuid
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,19 +29,21 @@ class Wandb:
         """Log a film."""
         self._run.log({"film": self._wandb.Video(str(path), format=path.suffix[1:])}, step=samples)
 
-    def close(self) -> None:
+    def close(self, finished: bool) -> None:
         """End the run."""
-        self._run.finish()
+        self._run.finish(exit_code=0 if finished else 1)
 
 
 class MLflow:
-    """MLflow; without `MLFLOW_TRACKING_URI` in the file mlflow.db beside the run's directory."""
+    """MLflow; without `MLFLOW_TRACKING_URI` in mlflow.db and, for films, mlruns/ beside the run's directory."""
 
     def __init__(self, folder: Path, config: Mapping[str, Any]) -> None:
         """Begin a run of the folder's name, or go on with that which the folder had."""
         mlflow = _imported("mlflow")
+        place = None
         if not mlflow.environment_variables.MLFLOW_TRACKING_URI.is_set():
             mlflow.set_tracking_uri(f"sqlite:///{folder.parent.absolute() / 'mlflow.db'}")
+            place = (folder.parent.absolute() / "mlruns").as_uri()
         self._client, self._entities = mlflow.MlflowClient(), mlflow.entities
         held = folder / "mlflow.id"
         if held.exists():
@@ -48,7 +51,7 @@ class MLflow:
             self._client.update_run(self._id, status="RUNNING")
         else:
             experiment = self._client.get_experiment_by_name(PROJECT)
-            found = experiment.experiment_id if experiment else self._client.create_experiment(PROJECT)
+            found = experiment.experiment_id if experiment else self._client.create_experiment(PROJECT, place)
             self._id = self._client.create_run(found, run_name=folder.name).info.run_id
             held.write_text(self._id)
             for name, value in config.items():
@@ -56,17 +59,17 @@ class MLflow:
 
     def write(self, values: Mapping[str, float]) -> None:
         """Log values over samples."""
-        step = int(values["train/samples"])
-        metrics = [self._entities.Metric(name, float(value), 0, step) for name, value in values.items()]
+        step, now = int(values["train/samples"]), round(1000 * time.time())
+        metrics = [self._entities.Metric(name, float(value), now, step) for name, value in values.items()]
         self._client.log_batch(self._id, metrics)
 
     def film(self, path: Path, samples: int) -> None:
         """Keep a film."""
         self._client.log_artifact(self._id, str(path), "films")
 
-    def close(self) -> None:
+    def close(self, finished: bool) -> None:
         """End the run."""
-        self._client.set_terminated(self._id)
+        self._client.set_terminated(self._id, "FINISHED" if finished else "KILLED")
 
 
 TRACKERS = {"wandb": Wandb, "mlflow": MLflow}

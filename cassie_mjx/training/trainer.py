@@ -11,7 +11,7 @@ import numpy as np
 
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy_file import learner_policy
-from cassie_mjx.agents.shipped import policy_path, shipped_policies
+from cassie_mjx.agents.shipped import existing_policy
 from cassie_mjx.envs.termination import Ends
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.command import speed_factors
@@ -37,7 +37,7 @@ class RunState(NamedTuple):
 
 
 class IterationMetrics(NamedTuple):
-    """Scalars of one iteration."""
+    """What one iteration measures."""
 
     update: UpdateMetrics
     ends: dict[str, jax.Array]
@@ -57,11 +57,7 @@ def initial_policy(config: TrainConfig) -> NumpyPolicy | None:
     """
     if config.init is None:
         return None
-    path = policy_path(config.init)
-    if path is None:
-        known = ", ".join(shipped_policies())
-        raise ValueError(f"init={config.init} is none of {known}, nor a policy's .npz file, nor a run's directory.")
-    saved = NumpyPolicy.load(path)
+    saved = NumpyPolicy.load(existing_policy(config.init, "init"))
     widths = tuple(len(bias) for _, bias in saved.weights[:-1])
     if widths != config.ppo.hidden_sizes:
         raise ValueError(f"init={config.init} has hidden layers of {list(widths)}; set ppo.hidden_sizes to that.")
