@@ -267,3 +267,11 @@ def test_hardware_names_what_jax_computes_on(monkeypatch, backend, kinds, named)
 def test_provenance_leaves_jax_alone_where_nothing_uses_it():
     program = "import sys; from cassie_mjx import cli; cli.provenance(); assert 'jax' not in sys.modules"
     subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_provenance_names_the_commit():
+    git = ["git", "-C", str(Path(__file__).parent), "rev-parse", "--short=12", "HEAD"]
+    head = subprocess.run(git, capture_output=True, text=True, check=False)
+    if head.returncode:
+        pytest.skip("no git checkout")
+    assert cli.provenance()["commit"].startswith(head.stdout.strip())

@@ -65,7 +65,7 @@ def _commit() -> str:
     git = ["git", "-C", str(Path(__file__).parent)]
     try:
         top = subprocess.run([*git, "rev-parse", "--show-toplevel"], capture_output=True, text=True, check=True)
-        if Path(top.stdout.strip()) != Path(__file__).parents[1]:
+        if Path(top.stdout.strip()) != Path(__file__).parents[2]:
             return "not a checkout"
         commit = subprocess.run([*git, "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=True)
         changes = subprocess.run([*git, "status", "--porcelain", "-uno"], capture_output=True, text=True, check=True)
