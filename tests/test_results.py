@@ -43,11 +43,11 @@ def quoted():
     ours, published = loops("native", "100/50"), loops("native", "100/50", loops="published")
     yield f"at most {ours['loop_error_max_mm']:.2f} mm instead of {published['loop_error_max_mm']:.1f} mm"
     yield from solver_lines()
-    native, mjx, every = rate("native", "referee"), rate("mjx", "walking"), rate("mjx", "published")
+    native, mjx, every = rate("native", "full"), rate("mjx", "walking"), rate("mjx", "published")
     yield f"| {round(native['steps_per_s'], -3):,}, {native['of_bare_loop']:.2f} times a bare loop in C |"
     faster = mjx["steps_per_s"] / every["steps_per_s"]
     yield f"| {round(mjx['steps_per_s'], -3):,}, {faster:.2f} times its own with all published contacts |"
-    yield f"({round(rate('mjx', 'referee')['steps_per_s'], -2):,} steps/s with full contacts)"
+    yield f"({round(rate('mjx', 'full')['steps_per_s'], -2):,} steps/s with full contacts)"
     yield f"{mjx['compile_s']:.0f} s, then cached"
 
 
