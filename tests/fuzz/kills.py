@@ -16,7 +16,8 @@ from tests.fuzz.outcome import DIFFERENT, LOST, SAME, TRACEBACK, Outcome
 ROOT = Path(__file__).parents[2]
 STOPS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 ARGUMENTS = [word for word in tiny.ARGUMENTS if not word.startswith("ppo.iterations")] + ["ppo.iterations=12"]
-STOPPED = {0, 128 + signal.SIGINT, 128 + signal.SIGTERM, -signal.SIGKILL}
+# By a signal's default before Python has handlers of its own.
+STOPPED = {0, *(128 + number for number in STOPS), *(-number for number in STOPS)}
 
 
 def _start(run: Path) -> subprocess.Popen[str]:
@@ -57,7 +58,7 @@ def _stopped_and_resumed(run: Path, rng: random.Random, whole_s: float, expected
             _, errors = process.communicate()
             said.append(signal.Signals(stop).name)
         if "Traceback" in errors or process.returncode not in STOPPED:
-            return Outcome(TRACEBACK, f"{run.name}: {said}", errors)
+            return Outcome(TRACEBACK, f"{run.name}: {said}", f"status {process.returncode}: {errors}")
         if process.returncode == 0:
             break
     if not (run / "last.npz").is_file():
