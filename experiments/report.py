@@ -16,11 +16,10 @@ from cassie_mjx.configuration.values import Checked
 from cassie_mjx.reporting import page, plots
 from cassie_mjx.reporting.page import drawn, section, table
 from cassie_mjx.reporting.results import Result, blaming, find
-from cassie_mjx.reporting.tables import NO_FIGURE, Table, markdown
+from cassie_mjx.reporting.tables import NO_FIGURE, Table
 from experiments import tables
+from experiments.pages import block, readme_block, with_block
 from experiments.tables import agents
-
-MARKERS = ("<!-- results, written by `make report` -->", "<!-- end of results -->")
 
 STUDIES = {
     "walking": "Learning to walk",
@@ -256,36 +255,6 @@ def walked_twice(folder: Path) -> list[str]:
         command = f"python -m experiments.{name} {arguments} out=experiments/results/{name}.json"
         sections.append(section(title, text, body, found, command))
     return sections
-
-
-def readme_block(folder: Path) -> str:
-    """What stands between the markers of the README."""
-    return markdown(tables.summary(folder))
-
-
-def block(folder: Path) -> str:
-    """What stands between the markers of the page of all results."""
-    found = [
-        tables.beside_the_paper(folder),
-        tables.speeds_and_blends(folder),
-        tables.beside_each_other(folder, tables.ALL_SPEEDS),
-        tables.beside_each_other(folder, tables.STEPS),
-    ]
-    return "\n\n".join(markdown(content) for content in found if content)
-
-
-def with_block(text: str, content: str) -> str:
-    """A page with `content` between its markers.
-
-    Raises:
-      ValueError: it has no two markers, each once, in order.
-    """
-    start, end = MARKERS
-    before, found, rest = text.partition(start)
-    _, closed, after = rest.partition(end)
-    if not found or not closed or start in after or end in after:
-        raise ValueError(f"The file for the table needs the lines {start} and {end}, once each and in this order.")
-    return f"{before}{start}\n\n{content}\n\n{end}{after}"
 
 
 def main(config: ReportConfig) -> None:

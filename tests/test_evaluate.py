@@ -25,7 +25,7 @@ def test_the_file_has_rows_and_provenance(tmp_path, monkeypatch):
     evaluate.main(EvaluateConfig(policy="controller:stiff", long=True, physics="mjx", out=str(tmp_path / "a.json")))
     assert asked == [(name, "mjx", True) for name in ("walk", "delay", "terrain", "push")]
     content = json.loads((tmp_path / "a.json").read_text())
-    assert content.keys() == {"rows", "provenance"}
+    assert content.keys() == {"rows", "provenance", "sha256"}
     assert content["rows"] == [
         {"agent": "controller:stiff", "quantity": "speed_mps", "value": 0.7, "unit": "m/s", "n": 10},
         {"agent": "controller:stiff", "quantity": "terrain_h_m", "value": 0.1, "unit": "m", "n": 8},

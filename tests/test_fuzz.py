@@ -10,7 +10,7 @@ from tests.fuzz.outcome import DIFFERENT, FAULTS, HANG, REFUSED, TRACEBACK, summ
 
 def test_damaged_files_are_noticed(tmp_path):
     outcomes = list(files.attempts(tmp_path, 25, seed=1))
-    assert len(outcomes) == 75
+    assert len(outcomes) == 100
     assert not [each for each in outcomes if each.kind in FAULTS], summary(outcomes)
     assert sum(each.kind == REFUSED for each in outcomes) > 45
 

@@ -25,6 +25,7 @@ from cassie_mjx.evaluation.trial import Metric
 from cassie_mjx.export import POLICY, ExportConfig
 from cassie_mjx.files import archive, atomic
 from cassie_mjx.reporting import page
+from cassie_mjx.reporting.results import read
 from cassie_mjx.training.interruption import Interruption
 from experiments import pictures
 
@@ -112,7 +113,7 @@ def test_a_full_disk_loses_no_result(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match=r"a\.json could not be written \(No space left on device\); nothing"):
         cli.write_result(tmp_path / "a.json", {"rows": [7]})
-    assert json.loads(capsys.readouterr().out) == {"rows": [7]}
+    assert json.loads(capsys.readouterr().out)["rows"] == [7]
     assert (names(tmp_path), (tmp_path / "a.json").read_text()) == (["a.json"], "old")
 
 
@@ -256,3 +257,13 @@ def test_signals_that_are_ignored_stay_so():
         assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+def test_a_figure_that_was_altered_is_refused(tmp_path):
+    path = tmp_path / "a.json"
+    rows = [{"agent": "1x", "quantity": "speed_mps", "value": 0.726, "unit": "m/s", "n": 10}]
+    cli.write_result(path, {"rows": rows, "cells": {"walk": (1, 2)}, "provenance": cli.provenance(seed=0)})
+    assert read(tmp_path, "a.json").value("speed_mps") == 0.726
+    path.write_text(path.read_text().replace("0.726", "0.926"))
+    with pytest.raises(ValueError, match=r"a\.json is not a result as expected: its SHA-256 is another"):
+        read(tmp_path, "a.json")

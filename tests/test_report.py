@@ -13,7 +13,8 @@ import pytest
 
 from cassie_mjx.reporting.tables import markdown
 from experiments import report, tables
-from experiments.report import MARKERS, ReportConfig, block, main, readme_block, whole_page, with_block
+from experiments.pages import MARKERS, block, readme_block, with_block
+from experiments.report import ReportConfig, main, whole_page
 
 ROOT = Path(__file__).parents[1]
 PROVENANCE = {"command": "python -m made.up", "commit": "abc", "date": "2026-01-02", "hardware": "a CPU, 2 cores"}
@@ -214,7 +215,7 @@ def test_two_engines(everything):
     [
         ("evaluate/1x-seed0.json", "{", "Expecting property name"),
         ("evaluate/1x-seed0.json", 9999 * "[", "recursion"),
-        ("evaluate/1x-seed0.json", "[1]", "list indices must be integers"),
+        ("evaluate/1x-seed0.json", "[1]", "holds no JSON object"),
         ("controller_stiff.json", '{"rows": [], "provenance": {"command": "x"}}', "no 'commit'"),
         ("walking.json", json.dumps({"rows": [], "provenance": PROVENANCE}), "no 'runs'"),
         ("walking.json", json.dumps({"rows": [], "runs": [{"variant": "1x"}], "provenance": PROVENANCE}), "no 'curve'"),

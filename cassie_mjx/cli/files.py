@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from cassie_mjx.cli.origin import is_ours
 from cassie_mjx.files import atomic
 from cassie_mjx.files.atomic import write_text as write_text
+from cassie_mjx.files.result import signed
 
 
 class Kind(NamedTuple):
@@ -94,11 +95,12 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 
 
 def write_result(path: Path, content: dict[str, Any]) -> None:
-    """Write what was measured to `path`; if that cannot be done, to the standard output.
+    """Write what was measured to `path`, with its SHA-256; if that cannot be done, to the standard output.
 
     Raises:
       OSError: it stands on the standard output.
     """
+    content = signed(content)
     try:
         write_json(path, content)
     except OSError as error:

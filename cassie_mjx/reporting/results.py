@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cassie_mjx.files.result import check
+
 PROVENANCE = ("command", "commit", "date", "hardware")
 
 
@@ -61,10 +63,12 @@ def read(folder: Path, name: str) -> Result:
     """The result file `name` in `folder`.
 
     Raises:
-      ValueError: it is no JSON, has no rows or no provenance, or the value of a quantity is no number.
+      ValueError: it is no JSON or altered, has no rows or no provenance, or the value of a quantity is no number.
     """
     with blaming(folder / name):
-        content = _present_names(json.loads((folder / name).read_text()))
+        written = json.loads((folder / name).read_text())
+        check(written)
+        content = _present_names(written)
         for key in PROVENANCE:
             content["provenance"][key].strip()
         for row in content["rows"]:

@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from cassie_mjx import cli
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.shipped import shipped_policies
 from cassie_mjx.motion.files import read_motion, shipped_path
+from cassie_mjx.reporting.results import read
 from cassie_mjx.training.checkpoint import restore_last
 from tests import tiny
 from tests.fuzz.outcome import Outcome, tried
@@ -28,15 +30,23 @@ class Sample(NamedTuple):
 
 def samples(folder: Path) -> list[Sample]:
     """One of each kind of file, written to `folder`."""
-    policy, motion, run = folder / "policy.npz", folder / "motion.npz", folder / "run"
+    policy, motion, result, run = (folder / name for name in ("policy.npz", "motion.npz", "result.json", "run"))
     shutil.copy(shipped_policies()["1x-robust"], policy)
     shutil.copy(shipped_path("walk"), motion)
     tiny.session(run).train()
+    figures = [{"agent": "1x", "quantity": "speed_mps", "value": 0.726, "unit": "m/s", "n": 10}]
+    cli.write_result(result, {"rows": figures, "provenance": cli.provenance(seed=0)})
     return [
         Sample("policy", policy, NumpyPolicy.load),
         Sample("motion", motion, read_motion),
+        Sample("result", result, _figures),
         Sample("checkpoints", run / "checkpoints", restore_last),
     ]
+
+
+def _figures(path: Path) -> Any:
+    result = read(path.parent, path.name)
+    return result.content["rows"], result.provenance
 
 
 def damaged(content: bytes, rng: random.Random) -> tuple[str, bytes]:
