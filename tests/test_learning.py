@@ -23,7 +23,7 @@ def fake_training(monkeypatch, status=0, changed=None):
     """Instead of a training, the files of one: seed k returns 100 k + 200, 300 at 3000, 6000 samples."""
     calls = []
 
-    def begin(command):
+    def begin(command, env):
         calls.append(command)
         values = dict(argument.split("=") for argument in command[3:])
         folder = learning.Path(values["run_dir"])
@@ -182,7 +182,7 @@ def test_a_study_that_is_told_to_end_tells_its_training(monkeypatch, tmp_path):
         raise SystemExit(143)
 
     training = nullcontext(SimpleNamespace(wait=wait, terminate=lambda: told.append("SIGTERM")))
-    monkeypatch.setattr(learning, "subprocess", SimpleNamespace(Popen=lambda _: training))
+    monkeypatch.setattr(learning, "subprocess", SimpleNamespace(Popen=lambda _, env: training))
     with pytest.raises(SystemExit):
         learning.train(tmp_path / "run", TWO_SEEDS, 0)
     assert told == ["SIGTERM"]

@@ -137,7 +137,10 @@ def test_a_shipped_policy_is_exported_as_npz_too(tmp_path):
     [
         ({}, "Either run or policy must be given, as in run=runs/1x-seed0 or policy=1x."),
         ({"run": "a", "policy": "1x"}, "Either run or policy must be given"),
-        ({"policy": "1x", "which": "last"}, "which=last is for a run; give run=1x, or leave which out."),
+        (
+            {"policy": "1x", "which": "last"},
+            "which=last is for a run's directory; give run=DIRECTORY, or leave which out.",
+        ),
         ({"policy": "1x", "out": "a.pt"}, "out=a.pt is no policy's file; name one that ends in .npz or .onnx."),
         ({"policy": "9x"}, "policy=9x is none of 0x, 1x"),
     ],

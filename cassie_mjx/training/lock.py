@@ -27,7 +27,7 @@ def hold(folder: Path, say: Callable[[str], None]) -> Iterator[None]:
     """Keep others out of a run's directory; the first process does so for all, and every process must call it.
 
     Args:
-      folder: made if missing, and removed in the end if nothing else came into it.
+      folder: made if missing; in the end who made it removes it if nothing else came into it.
       say: is told if the file system has no locks.
 
     Raises:
