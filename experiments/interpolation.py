@@ -50,7 +50,7 @@ class InterpolationConfig(Checked):
 
 
 class Ride(NamedTuple):
-    """Speeds of B robots that are told to change theirs, each the mean over the stride that ends at the time."""
+    """Speeds of B robots whose command changes, each the mean over the stride that ends at the time."""
 
     time_s: np.ndarray
     """[T]."""

@@ -193,7 +193,7 @@ def sped(folder: Path) -> str:
         with blaming(folder / result.name):
             rides, profile = (result.content.get(name) for name in ("rides", "profile"))
             curves = rides or ({"profile": profile} if profile else {})
-            caption = "{}: speed; dashed as told; shaded from the least to the greatest of the robots up."
+            caption = "{}: speed; the command dashed; shaded from the least to the greatest of the robots up."
             shown += [(plots.ride(curve), caption.format(name)) for name, curve in curves.items()]
     compared = tables.speeds_and_blends(folder)
     body = (table(compared) if compared else "") + drawn(shown)
@@ -207,7 +207,7 @@ def variants_compared(folder: Path) -> list[str]:
     for title, text, patterns, arguments in (
         (
             "One policy for all speeds",
-            "One policy that is told its speed, beside policies that were trained at one.",
+            "One policy with a commanded speed, beside policies that were trained at one.",
             tables.ALL_SPEEDS,
             "policy=any speed=2x suite=all out=experiments/results/evaluate/any-2x-seed0.json",
         ),

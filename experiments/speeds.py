@@ -1,4 +1,4 @@
-"""How well policies keep the speed they are told: `python -m experiments.speeds out=speeds.json plot=speeds.png`.
+"""How well policies keep the commanded speed: `python -m experiments.speeds out=speeds.json plot=speeds.png`.
 
 Each policy walks at its own speed, and one that was trained at any speed at twenty, from 0x to 4x, and after a profile
 that commands another speed every 2 s for a minute, to which the reference moves by 0.625x a second, as in training.

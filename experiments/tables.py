@@ -199,7 +199,7 @@ def _walks(result: Result) -> list[tuple[str, ...]]:
 
 
 def _kept(result: Result, agents: Sequence[str]) -> str:
-    """How one policy keeps the speeds it is told: those it walks 10 s at, and the largest error among them."""
+    """How one policy keeps commanded speeds: those it walks 10 s at, and the largest error among them."""
     up = [agent for agent in agents if (result.value("survived_s", agent) or 0) >= WALK_S]
     pairs = [(result.value("speed_mps", agent), result.value("commanded_mps", agent)) for agent in up]
     errors = [abs(speed - told) for speed, told in pairs if speed is not None and told is not None]

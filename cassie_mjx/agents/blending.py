@@ -129,8 +129,9 @@ def ramp(progress: Progress, speeds: Sequence[float]) -> Array:
 def adaptive(progress: Progress, speeds: Sequence[float]) -> Array:
     """Where the mean speed is v_1 + `KEENNESS` (v_1 - v_f), v_1 the first policy's, v_f the robot's; within the chain.
 
-    Robots walk as the first policy does until a slope slows them down: then they are told to walk faster. The paper
-    prints no rule. Under the opposite one, the policy of the speed that a robot has, nothing brings a lost speed back.
+    Robots walk as the first policy does until a slope slows them down: then they are commanded to walk faster. The
+    paper prints no rule. Under the opposite one, the policy of the speed that a robot has, nothing brings a lost speed
+    back.
     """
     # v = v_1 + k (v_1 - v_f),  lambda = (v_2 - v) / (v_2 - v_1), clipped to 0..1
     told = speeds[0] + KEENNESS * (speeds[0] - progress.speed)

@@ -25,7 +25,7 @@ class AgentConfig(Checked):
     """What walks: a policy that we ship, a policy's .npz file, a run's directory (its best policy), "controller:stiff",
     "controller:compliant", or "blend:" and two or more policies with commas between."""
     speed: str | None = None
-    """Speed at which a policy is told to walk, such as "2.5x"; null for its own, 1x if it was trained at any."""
+    """Commanded speed of a policy, such as "2.5x"; null for its own, 1x if it was trained at any."""
     schedule: str | None = None
     """How a blend changes: "ramp", to its last policy and back in time, or "adaptive", against the loss of speed."""
 
@@ -40,7 +40,7 @@ def make_agent(name: str, speed: str | None = None, schedule: str | None = None)
     Args:
       name: a policy that we ship, its .npz file or a training run's directory; "blend:POLICY,POLICY,...", two or
         more; "controller:NAME".
-      speed: at which a policy is told to walk, such as "2.5x"; None for the one it was trained at, 1x if at any.
+      speed: commanded, such as "2.5x"; None for the one it was trained at, 1x if at any.
       schedule: how a blend goes from its first policy to its last, one of `SCHEDULES`.
 
     Raises:
@@ -60,7 +60,7 @@ def make_agent(name: str, speed: str | None = None, schedule: str | None = None)
 
 
 def make_policy_agent(name: str, speed: str | None = None) -> PolicyAgent:
-    """The policy of that name, told to walk at `speed`; see `make_agent`."""
+    """The policy of that name at the command `speed`; see `make_agent`."""
     path = policy_path(name)
     if path is None:
         known = ", ".join([*shipped_policies(), *(CONTROLLER_PREFIX + preset for preset in CONTROLLERS)])

@@ -123,7 +123,7 @@ class PolicyAgent:
 
 
 def saved_agent(name: str, saved: NumpyPolicy, speed: str | None = None) -> PolicyAgent:
-    """The agent of a saved policy, and of a speed at which it is told to walk, if not its own.
+    """The agent of a saved policy, and of a commanded speed, if not its own.
 
     Raises:
       ValueError: it was made for another layout of the observation or for gains that no engine of ours has, or its

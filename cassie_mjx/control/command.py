@@ -1,4 +1,4 @@
-"""Where robots are along the reference motion, and what they are told: pure functions of a `MotionState`."""
+"""Where robots are along the reference motion, and their commands: pure functions of a `MotionState`."""
 
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ class MotionState(NamedTuple):
     step: Array
     """Control steps since the episode began, [B], int32."""
     command: Command
-    """What robots are told now, leaves [B]."""
+    """The commands of now, leaves [B]."""
     target_command: Command
     """What the command moves to at a limited pace, leaves [B]; no robot senses it."""
     origin_x: Array

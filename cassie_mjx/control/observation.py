@@ -29,7 +29,7 @@ class Seen(NamedTuple):
     reference_qvel: Array
     """Of the reference motion one control step ahead, [B, 32]."""
     command: Command | None = None
-    """What the robots are told; None where an agent has one speed alone."""
+    """Of the robots; None where an agent has one speed alone."""
 
 
 @dataclass(frozen=True)

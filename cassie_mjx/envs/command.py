@@ -1,4 +1,4 @@
-"""The commands of training: which speeds robots are told, and where the motion of an episode begins."""
+"""The commands of training: which speeds are drawn, and where the motion of an episode begins."""
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ def start_motion(motion: ReferenceMotion, time: jax.Array, command: Command, gro
     Args:
       motion: what is imitated.
       time: control step of the motion that they start at, [B].
-      command: what they are told, now and as a target.
+      command: now and as a target.
       ground: height h of the ground, [B], m; where it is above 0, the pelvis starts above a crest.
     """
     state = MotionState(time, jnp.zeros_like(time), command, command, jnp.zeros_like(command.forward))

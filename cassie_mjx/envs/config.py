@@ -28,13 +28,13 @@ class WalkConfig(Checked):
     max_position_error_m: Annotated[float, Range(0.001, 1000)] | None = 0.5
     """How far ahead of the reference motion or behind it an episode ends, m, a device of training; null for nowhere.
 
-    Without it robots that are told to walk fast learn to do without the position's share of the reward."""
+    Without it robots with a fast command learn to do without the position's share of the reward."""
     episode_steps: Annotated[int, Range(1, 2**30)] = 300
     """Control steps of a full episode; 300 are 9.6 s."""
     start_velocity_mps: Annotated[float, Range(0, 3)] = 0.5
     """How far from the reference's the pelvis' horizontal velocity may be as an episode begins, m/s, in any direction.
 
-    It is drawn for each episode. Robots learn from it to come back to the speed that they are told, sooner than by
+    It is drawn for each episode. Robots learn from it to come back to their commanded speed, sooner than by
     losing it themselves; 0 starts every episode on the reference, as in the paper."""
     start_offset_m: Annotated[float, Range(0, 3)] = 0.0
     """How far to the left or right of the reference's line an episode may begin, m. It is drawn for each episode."""

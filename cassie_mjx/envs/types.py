@@ -59,7 +59,7 @@ class WalkState:
     Attributes:
       physics: state of the engine.
       scenario: what differs from robot to robot.
-      motion: where they are along the reference motion, and what they are told.
+      motion: where they are along the reference motion, and their commands.
       sensing: what the observation carries from step to step, [B, H - 1, F]; empty without history.
       observation: what the policy acts on next, [B, O]; in a symmetric task as `ControlLaw.observe` gives it, in a
         mirror where the reference is in its second step, and so is the final one.

@@ -30,7 +30,7 @@ from cassie_mjx.robot.model import steps_per_control
 # two, and folding with 0 or 1 would give those halves again.
 _SPEED_KEY, _SCENARIO_KEY, _VELOCITY_KEY, _COMMAND_KEY, _OFFSET_KEY, _NOISE_KEY, _FRESH_NOISE_KEY = range(2, 9)
 
-# Unit in which a critic is told how far a robot is ahead: half of what ends an episode, so of the order of 1.
+# Unit in which a critic observes how far a robot is ahead: half of what ends an episode, so of the order of 1.
 LEAD_M = 0.25
 
 

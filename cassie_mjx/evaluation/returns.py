@@ -34,7 +34,7 @@ class ReturnRecord:
       fell: whether the robot has fallen, [B], bool.
       plain: sum of the plain reward, [B].
       weighted: sum of the weighted reward, [B].
-      command: what robots are told; None for the motion's own speed.
+      command: of the robots; None for the motion's own speed.
       motion: what is imitated, from x = 0 on.
     """
 
@@ -94,7 +94,7 @@ def walk_returns(
     Args:
       agent: the policy.
       physics: the engine.
-      speeds: lowest and highest factor on the motion's speed; the ten robots are told ten from the one to the other.
+      speeds: lowest and highest factor on the motion's speed; the ten commands go from the one to the other.
       delay: age of what is sensed, physics steps.
 
     Returns:

@@ -61,7 +61,7 @@ def run(
       starts: robots that a trial can start as.
       trials: where trials come from and their results go.
       num_envs: robots side by side. On MuJoCo C the batch is halved when half of them have nothing to do.
-      progress: told how far it is.
+      progress: called with how far it is.
 
     Raises:
       ValueError: the agent's period does not divide the control step into whole physics steps, or a trial has a longer

@@ -51,7 +51,7 @@ class Simulation(NamedTuple):
     scenario: Scenario
     record: Any
     command: Command | None = None
-    """What they are told; None for each agent's own."""
+    """Their commands; None for each agent's own."""
 
 
 class Moment(NamedTuple):
@@ -110,7 +110,7 @@ def simulate(
       robots: at the start, B of them.
       scenario: of each.
       stops: physics steps since the start, rising, at which to look; 0 is the start itself.
-      commands: what robots are told at each step of the agent, one after another.
+      commands: of the robots at each step of the agent, one after another.
     """
     now, steps, told = 0, act_steps(agent, physics), iter(commands)
     target: Array = np.zeros((len(robots.physics.qpos), physics.model.nu))

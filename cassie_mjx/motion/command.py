@@ -1,4 +1,4 @@
-"""What a robot is told to do, as an array and as people write it."""
+"""What a robot is commanded to do, as an array and as people write it."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ SPEEDS = f"a factor from 0x to {FASTEST:g}x, such as 2x or 1.5x"
 
 
 class Command(NamedTuple):
-    """Velocities that robots are told, in the frame of the path that they walk along."""
+    """Commanded velocities of robots, in the frame of the path that they walk along."""
 
     forward: Array
     """[B], m/s."""

@@ -50,7 +50,7 @@ def sample(motion: ReferenceMotion, time: Array, command: Command | None = None)
     Args:
       motion: NumPy or JAX.
       time: control steps since the start of the motion, [B], integers, also negative ones.
-      command: what robots are told; the motion's own speed unless given. Forward, pelvis x and its velocity are
+      command: of the robots; the motion's own speed unless given. Forward, pelvis x and its velocity are
         stretched (Xie et al. 2018): x'(t) = v' / v x(t).
     """
     xp = namespace(motion.qpos, time)

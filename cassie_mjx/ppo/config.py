@@ -61,7 +61,7 @@ class PPOConfig(Checked):
     final_action_std: Annotated[float, Range(1e-4, 10)] | None = 0.1
     """What it has become, linearly, by the last iteration, rad; null for what it was.
 
-    Noise slows robots down: a policy that keeps pace with it is too fast without.
+    Noise slows robots down: policies trained with noise walk too fast without it.
     """
 
     gamma: Annotated[float, Range(0, 1)] = 0.99

@@ -166,7 +166,7 @@ def feet(placements: Mapping[str, Mapping[str, Sequence[Sequence[float]]]]) -> F
 
 @matplotlib.rc_context(STYLE)
 def ride(curve: Mapping[str, Sequence[float]]) -> Figure:
-    """Speed over time of robots told to change theirs: mean, and from the least to the greatest; as told dashed."""
+    """Speed over time of robots whose command changes: mean, and from the least to the greatest; the command dashed."""
     figure, axis = _axes(2.6)
     time = curve["time_s"]
     axis.plot(time, curve["commanded_mps"], "--", color="black", lw=1)

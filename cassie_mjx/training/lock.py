@@ -28,7 +28,7 @@ def hold(folder: Path, say: Callable[[str], None]) -> Iterator[None]:
 
     Args:
       folder: made if missing; in the end who made it removes it if nothing else came into it.
-      say: is told if the file system has no locks.
+      say: is called if the file system has no locks.
 
     Raises:
       ValueError: another training holds it; the message says which.
