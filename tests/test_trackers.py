@@ -6,7 +6,8 @@ from dataclasses import replace
 import pytest
 from tiny import config, session
 
-from cassie_mjx.training import loggers, trackers
+from cassie_mjx.training import config as training_config
+from cassie_mjx.training import loggers, runner, trackers
 from cassie_mjx.training.config import TrainConfig, resolve_config
 
 
@@ -37,6 +38,16 @@ def test_what_is_logged_can_change_when_a_run_goes_on(tmp_path):
     more = replace(first.ppo, iterations=4)
     lines = run(tmp_path / "run", ppo=more, resume=True)
     assert [line["train/iteration"] for line in lines] == [4]
+
+
+def test_a_film_that_cannot_be_drawn_does_not_end_the_run(tmp_path, monkeypatch):
+    def fail(path, agent):
+        raise ValueError("nothing can draw here")
+
+    monkeypatch.setattr(runner, "film_policy", fail)
+    monkeypatch.setattr(training_config, "choose_backend", lambda: None)
+    lines = run(tmp_path / "run", video_every=1)
+    assert [line["train/iteration"] for line in lines] == [2]
 
 
 @pytest.mark.slow

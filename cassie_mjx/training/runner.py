@@ -220,6 +220,7 @@ class Runner:
             film_policy(path, self._agent(policy))
         except (ValueError, OSError) as error:
             self.terminal.say(f"There is no film of iteration {self.done}: {error}")
+            return
         if self.sinks:
             self.sinks.film(path, self.samples)
 
