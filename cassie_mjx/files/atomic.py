@@ -20,7 +20,7 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         with _partial(path) as partial:
             yield partial
-            _sync(partial)
+            sync(partial)
             partial.replace(path)
     except OSError as error:
         raise OSError(f"{path} could not be written ({error.strerror or error}); nothing was replaced.") from error
@@ -55,7 +55,8 @@ def _partial(path: Path) -> Iterator[Path]:
             partial.unlink(missing_ok=True)
 
 
-def _sync(path: Path) -> None:
+def sync(path: Path) -> None:
+    """Wait until a file or folder is on the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

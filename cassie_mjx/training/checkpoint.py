@@ -26,6 +26,7 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from cassie_mjx import cli
+from cassie_mjx.files import atomic
 from cassie_mjx.motion.files import read_motion, save_motion
 from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.training import manifest
@@ -86,7 +87,7 @@ def save(directory: Path, iteration: int, state: Any, motion: ReferenceMotion, r
         for damaged in (old for old in _checkpoints(directory) if iteration_of(old) >= iteration):
             _discard(damaged)
         partial.rename(final)
-        _sync_one(directory)
+        atomic.sync(directory)
     except OSError as error:
         shutil.rmtree(partial, ignore_errors=True)
         raise OSError(
@@ -243,12 +244,4 @@ def _discard(checkpoint: Path) -> None:
 
 def _sync(checkpoint: Path) -> None:
     for path in (*checkpoint.rglob("*"), checkpoint):
-        _sync_one(path)
-
-
-def _sync_one(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        atomic.sync(path)
