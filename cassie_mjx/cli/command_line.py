@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from cassie_mjx.cli.ending import one_sentence, plain_words
 from cassie_mjx.cli.explain import explain
-from cassie_mjx.cli.keys import Group, Key, build, flatten, keys_of
+from cassie_mjx.cli.keys import Group, Key, build, flatten, keys_of, present_name
 from cassie_mjx.cli.reading import read
 from cassie_mjx.cli.sweep import is_hydras, sweep, wants_hydra
 from cassie_mjx.configuration.values import Checked, did_you_mean
@@ -122,11 +122,9 @@ def _split(argument: str, keys: Mapping[str, Key], renamed: Mapping[str, str]) -
         raise ValueError(
             f"{argument!r} is not of the form key=value; the keys are {', '.join(_level(keys, ''))}.{hint}"
         )
-    for old, new in renamed.items():
-        if name == old or (old.endswith(".") and name.startswith(old)):
-            now = new + name.removeprefix(old)
-            print(f"{name} is now called {now}.", file=sys.stderr)
-            name = now
+    if (now := present_name(name, renamed)) != name:
+        print(f"{name} is now called {now}.", file=sys.stderr)
+        name = now
     if name not in keys:
         raise ValueError(_unknown(name, keys))
     return name, text

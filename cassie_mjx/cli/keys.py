@@ -33,6 +33,17 @@ class Key(NamedTuple):
     """What stands under the field."""
 
 
+def present_name(name: str, renamed: Mapping[str, str]) -> str:
+    """The name that a key has today.
+
+    Args:
+      name: of today or of before.
+      renamed: old to new names; an old one that ends in a dot stands for all keys that begin with it.
+    """
+    old = next((old for old in renamed if name == old or (old.endswith(".") and name.startswith(old))), None)
+    return name if old is None else renamed[old] + name.removeprefix(old)
+
+
 def keys_of(config_class: type, groups: Mapping[str, Group]) -> dict[str, Key]:
     """All keys of a configuration by their dotted names.
 

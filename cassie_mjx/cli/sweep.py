@@ -54,7 +54,6 @@ def sweep(arguments: Sequence[str], keys: Mapping[str, Key], job: Job) -> None:
     """
     # Imported here: no other command line waits for it.
     import hydra
-    from hydra.core.config_store import ConfigStore
     from hydra.core.hydra_config import HydraConfig
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
@@ -64,10 +63,7 @@ def sweep(arguments: Sequence[str], keys: Mapping[str, Key], job: Job) -> None:
     typed, here, failed = sys.argv, os.getpid(), []
     whole = [each if is_hydras(each) else _for_hydra(each, keys) for each in arguments]
     ours = [each for each in whole if each.startswith("++")]
-    defaults = [{"override hydra/job_logging": "disabled"}, {"override hydra/hydra_logging": "disabled"}]
-    ConfigStore.instance().store(name="sweep", node={"defaults": ["_self_", *defaults], "hydra": _QUIET})
-    # Hydra then raises what it would print in several lines.
-    os.environ["HYDRA_FULL_ERROR"] = "1"
+    _set_up_hydra()
 
     # The job reads its own configuration: a path of our own would make each package beside this file a config group.
     @hydra.main(version_base="1.3", config_path="pkg://hydra.conf", config_name="sweep")
@@ -96,6 +92,15 @@ def sweep(arguments: Sequence[str], keys: Mapping[str, Key], job: Job) -> None:
         sys.argv = typed
     if failed:
         raise ValueError(f"{len(failed)} of the combinations failed: {'; '.join(failed)}.")
+
+
+def _set_up_hydra() -> None:
+    """Have Hydra know the configuration "sweep", and raise what it would print in several lines."""
+    from hydra.core.config_store import ConfigStore
+
+    defaults = [{"override hydra/job_logging": "disabled"}, {"override hydra/hydra_logging": "disabled"}]
+    ConfigStore.instance().store(name="sweep", node={"defaults": ["_self_", *defaults], "hydra": _QUIET})
+    os.environ["HYDRA_FULL_ERROR"] = "1"
 
 
 def _for_hydra(argument: str, keys: Mapping[str, Key]) -> str:

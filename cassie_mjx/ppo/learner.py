@@ -100,8 +100,7 @@ def update(
     def train_on(state: LearnerState, rows: Int[Array, " M"]) -> tuple[LearnerState, _Losses]:
         return _train(config, state, jax.tree.map(lambda x: x[rows], batch), rates, axis_name)
 
-    minibatch_size = config.minibatch_size // devices
-    rows = _shuffled_rows(key, batch.log_prob.shape[0], config.updates_per_iteration, minibatch_size)
+    rows = _shuffled_rows(key, batch.log_prob.shape[0], config.updates_per_iteration, config.minibatch_size // devices)
     trained, losses = jax.lax.scan(train_on, state, rows)
     log_prob = _log_prob(trained.policy, batch)
     local = {

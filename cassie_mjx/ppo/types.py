@@ -41,9 +41,6 @@ class EnvState(Protocol):
     """Pytree of [B]: whatever else is worth recording of the last step; the learner only hands it on."""
 
 
-Reset = Callable[[Key[Array, ""]], Any]
-"""`reset(key) -> env_state`: B robots at the start of an episode."""
-
 Step = Callable[[Any, Any, Key[Array, ""]], Any]
 """`step(env_state, action [B, A], key) -> env_state`: one control step, with a reset where an episode ends."""
 

@@ -87,9 +87,8 @@ SHIN_QPOS = qpos_index("left-shin", "right-shin")
 # A robot whose pelvis is lower or higher than this over the ground below it has fallen, m (Xie et al. 2018).
 FALL_LOW_M, FALL_HIGH_M = 0.6, 1.2
 
-# The pelvis in qpos: x y z, quaternion w x y z and its vector part; in qvel: velocity (world), turning (own frame).
+# The pelvis in qpos: x y z, quaternion w x y z; in qvel: velocity (world), turning (own frame).
 PELVIS_POSITION, PELVIS_QUATERNION = np.split(qpos_index("pelvis"), [3])
-PELVIS_QUAT_VECTOR = PELVIS_QUATERNION[1:]
 PELVIS_X, PELVIS_Y, PELVIS_Z = PELVIS_POSITION.tolist()
 PELVIS_VELOCITY, PELVIS_ANGULAR_VELOCITY = np.split(qvel_index("pelvis"), [3])
 HORIZONTAL_VELOCITY = slice(PELVIS_VELOCITY[0], PELVIS_VELOCITY[2])

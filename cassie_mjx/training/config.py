@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar
 
 import jax
 
+from cassie_mjx.cli.keys import present_name
 from cassie_mjx.configuration.values import Checked, Range, Seed, label
 from cassie_mjx.envs.config import WALK_PRESETS, WalkConfig
 from cassie_mjx.motion.command import speed_factors
@@ -33,12 +34,7 @@ RENAMED = {
 
 def present_names(config: dict[str, Any]) -> dict[str, Any]:
     """A flat configuration of an earlier version under the present names of its keys."""
-
-    def renamed(key: str) -> str:
-        old = next((old for old in RENAMED if key == old or (old.endswith(".") and key.startswith(old))), None)
-        return key if old is None else RENAMED[old] + key.removeprefix(old)
-
-    return {renamed(key): value for key, value in config.items()}
+    return {present_name(key, RENAMED): value for key, value in config.items()}
 
 
 def flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
