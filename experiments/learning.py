@@ -121,6 +121,7 @@ def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
     """
     held = check(folder, variant, seed)
     lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    lines = [line for line in lines if COLUMNS["steps"] in line]
     curve = {name: [_rounded(line[key]) for line in lines] for name, key in COLUMNS.items() if key in lines[0]}
     settings = expected(variant, seed, folder.parent)
     learned_from = curve[f"return_{settings['walk.reward']}"]

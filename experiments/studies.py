@@ -119,4 +119,6 @@ def deviations(config: dict[str, Any], variant: Variant, seed: int, runs: Path) 
     """What a recorded configuration has otherwise than a variant's run in the folder `runs`, as key=value."""
     found = LATER | present_names(config)
     wanted = expected(variant, seed, runs)
+    # How often the return is measured changes nothing that is learned.
+    wanted.pop("evaluate_every")
     return [f"{key}={found.get(key)}" for key, value in wanted.items() if found.get(key) != value]

@@ -75,10 +75,11 @@ class TrainConfig(Checked):
     """The task."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """The learner: a preset (ppo=paper) and single values (ppo.gamma=0.98)."""
-    evaluate_every: Annotated[int, Range(1, 1_000_000)] = 10
-    """Iterations between measurements of the return; each is followed by a checkpoint."""
+    evaluate_every: Annotated[int, Range(1, 1_000_000)] | None = None
+    """Iterations between measurements of the return, each followed by a checkpoint. null: about 30 checkpoints a run,
+    each with a measurement until a policy walks for 300 steps from every start, then each tenth."""
     log: tuple[str, ...] = ("jsonl", "tensorboard")
-    """Where the numbers of each evaluation go besides the terminal: "jsonl", metrics.jsonl; "tensorboard"; "wandb" and
+    """Where the numbers at each checkpoint go besides the terminal: "jsonl", metrics.jsonl; "tensorboard"; "wandb" and
     "mlflow", which are extras of this package."""
     video_every: Annotated[int, Range(0, 1_000_000)] = 0
     """Evaluations from one film of the policy to the next, in films/ of the run's directory and for each tracker; 0 for

@@ -1,4 +1,4 @@
-"""What the host counts: over a whole run, and from one evaluation to the next."""
+"""What the host counts: over a whole run, and from one line of metrics to the next."""
 
 from collections import Counter
 from dataclasses import asdict, dataclass, field
@@ -17,11 +17,15 @@ class Counters:
     """`return_plain` of the best policy so far: best by the reward that is learned from."""
     return_weighted: float = NOT_MEASURED
     """`return_weighted` of the same policy."""
+    walked: float = NOT_MEASURED
+    """Control steps that the last policy measured has walked, mean over the starts."""
+    measurements: float = 0
+    """Policies whose return was measured."""
 
 
 @dataclass
 class IntervalStats:
-    """What the host counts from one evaluation to the next."""
+    """What the host counts from one line of metrics to the next."""
 
     train_s: float = 0.0
     """Time in training, s."""

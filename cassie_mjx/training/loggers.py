@@ -48,10 +48,10 @@ class Stopwatch:
 
 
 class Sink(Protocol):
-    """Where the numbers of evaluations go, and films."""
+    """Where the lines of metrics go, and films."""
 
     def write(self, values: Mapping[str, float]) -> None:
-        """Take the values of an evaluation, among them train/samples."""
+        """Take a line of metrics, among them train/samples."""
         ...
 
     def film(self, path: Path, samples: int) -> None:
@@ -179,7 +179,7 @@ class TensorBoard:
 
 
 class Terminal:
-    """Progress that a person can follow: a bar on a terminal, and a line an evaluation everywhere."""
+    """Progress that a person can follow: a bar on a terminal, and a line a checkpoint everywhere."""
 
     def __init__(self, console: Console, iterations: int, done: int) -> None:
         """Start at `done` of `iterations`."""
@@ -214,14 +214,19 @@ class Terminal:
         self._bar.update(self._task, advance=1, description=description)
 
     def write(self, values: Mapping[str, float]) -> None:
-        """Print a line about an evaluation."""
+        """Print a line of metrics."""
         iteration = int(values["train/iteration"])
         spent = time.perf_counter() - self._start
         left = spent / max(iteration - self._first, 1) * (self._total - iteration)
+        measured = ""
+        if "eval/steps" in values:
+            measured = (
+                f"  return {values['eval/return_weighted']:.1f} weighted {values['eval/return_plain']:.1f} plain of 300"
+                f"  walked {values['eval/steps']:.0f}/300 steps"
+            )
         self.say(
-            f"iteration {iteration}/{self._total}  samples {int(values['train/samples']):,}"
-            f"  return {values['eval/return_weighted']:.1f} weighted {values['eval/return_plain']:.1f} plain of 300"
-            f"  walked {values['eval/steps']:.0f}/300 steps"
+            f"iteration {iteration}/{self._total}  samples {int(values['train/samples']):,}{measured}"
+            f"  reward {values['learner/reward']:.3f} a step"
             f"  training episodes {values['train/episode_steps']:.0f} steps"
             f"  {values['time/samples_per_s']:,.0f} samples/s  {left:.0f} s left"
         )

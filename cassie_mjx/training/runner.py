@@ -28,7 +28,7 @@ from cassie_mjx.physics.make import make_physics
 from cassie_mjx.ppo import networks
 from cassie_mjx.ppo.types import Policy
 from cassie_mjx.robot.model import ModelConfig
-from cassie_mjx.training import checkpoint, counters, devices, divergence, lock, run_directory, sentences
+from cassie_mjx.training import checkpoint, counters, devices, divergence, lock, run_directory, schedule, sentences
 from cassie_mjx.training.config import TrainConfig, resolve_config
 from cassie_mjx.training.counters import NOT_MEASURED, Counters, IntervalStats
 from cassie_mjx.training.films import film_policy
@@ -163,9 +163,9 @@ class Runner:
             self._diagnose(before)
         rate = self.config.ppo.num_samples / elapsed
         self.terminal.advance(float(metrics.update.reward), self._episode_steps(metrics), rate)
-        if self.done % self.config.evaluate_every == 0 or self.done == self.config.ppo.iterations:
+        if schedule.saves(self.config, self.done):
             if devices.is_first():
-                self._measure(metrics)
+                self._write(metrics)
             self._save()
 
     def _diagnose(self, before: RunState) -> None:
@@ -193,20 +193,31 @@ class Runner:
     def _returns(self) -> tuple[Policy, dict[str, float]]:
         """The present policy, and what it is worth."""
         policy = devices.own_copy(self.run.learner.policy)
-        return policy, walk_returns(self._agent(policy), self.eval_engine, self.speeds)
+        returns = walk_returns(self._agent(policy), self.eval_engine, self.speeds)
+        self.counters.walked, self.counters.measurements = returns["steps"], self.counters.measurements + 1
+        return policy, returns
 
-    def _measure(self, metrics: IterationMetrics) -> None:
-        """Measure the return, log it, and keep the policy."""
+    def _write(self, metrics: IterationMetrics) -> None:
+        """Write a line of metrics; if it is time to measure the return, with that, and keep the policy."""
+        if not schedule.measures(self.config, self.done, self.counters.walked):
+            self._log(self._values(metrics, {}, 0.0))
+            return
         began = time.perf_counter()
         policy, returns = self._returns()
-        values = self._values(metrics, returns, time.perf_counter() - began)
+        self._log(self._values(metrics, returns, time.perf_counter() - began))
+        every = self.config.video_every
+        if every and self.counters.measurements % every == 0:
+            self._film(policy)
+        self._keep(policy, returns)
+        self._warn_of_clipping(metrics)
+
+    def _log(self, values: dict[str, float]) -> None:
         if self.sinks:
             self.sinks.write(values)
         self.terminal.write(values)
-        every = self.config.video_every * self.config.evaluate_every
-        if every and self.done % every == 0:
-            self._film(policy)
-        self._keep(policy, returns)
+
+    def _warn_of_clipping(self, metrics: IterationMetrics) -> None:
+        """Say, once and at the end of the run, which inputs the networks do not see all of."""
         clipping = sentences.clipping(np.asarray(metrics.clipped), self.law.observation.describe())
         if clipping and (not self.clipping_told or self.done == self.config.ppo.iterations):
             self.clipping_told = True
@@ -238,7 +249,7 @@ class Runner:
             save_policy(self.folder / f"{name}.npz", policy, self.motion, self.factor, walk.kd_scale, origin, self.law)
 
     def _values(self, metrics: IterationMetrics, returns: dict[str, float], eval_s: float) -> dict[str, float]:
-        """One line of metrics; counts, rates and shares of the time are those since the last one."""
+        """One line of metrics; counts, rates and shares of the time are those since the last line."""
         interval, self.interval = self.interval, IntervalStats()
         seconds = {"eval": eval_s, **self.trainer.timer.since_last()}
         return {
