@@ -20,11 +20,11 @@ from rich.table import Table
 
 from cassie_mjx import cli, starting
 from cassie_mjx.configuration.values import Checked
-from cassie_mjx.envs.scenario import ScenarioConfig
 from cassie_mjx.reporting import plots
+from cassie_mjx.reporting.spread import spread
 from cassie_mjx.training import checkpoint
 from experiments import pictures
-from experiments.studies import STUDIES, Variant, deviations, expected
+from experiments.studies import STUDIES, Variant, deviations
 
 # The return that the paper reports.
 GOAL = 250
@@ -113,8 +113,7 @@ def check(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
 def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
     """What a finished run did: its configuration, curve, returns, and samples and seconds to the goal.
 
-    The returns are those of the policy that training keeps: the best by the reward that it learned from or, under
-    disturbances, the last.
+    The returns are those of the last policy, which was not chosen by them.
 
     Raises:
       ValueError: it was trained with other settings than the variant's, in whatever point, or is not finished.
@@ -123,14 +122,10 @@ def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
     lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     lines = [line for line in lines if COLUMNS["steps"] in line]
     curve = {name: [_rounded(line[key]) for line in lines] for name, key in COLUMNS.items() if key in lines[0]}
-    settings = expected(variant, seed, folder.parent)
-    learned_from = curve[f"return_{settings['walk.reward']}"]
-    scenario = ScenarioConfig(**{name: settings[f"walk.scenario.{name}"] for name in vars(ScenarioConfig())})
-    kept = len(lines) - 1 if scenario.active else learned_from.index(max(learned_from))
     return {
         "variant": variant.name,
         "seed": seed,
-        **{f"return_{reward}": curve[f"return_{reward}"][kept] for reward in REWARDS},
+        **{f"return_{reward}": curve[f"return_{reward}"][-1] for reward in REWARDS},
         **{f"samples_to_{GOAL}_{reward}": to_goal(curve, reward, "samples") for reward in REWARDS},
         **{f"train_s_to_{GOAL}_{reward}": to_goal(curve, reward, "train_s") for reward in REWARDS},
         "physics_hz": held["config"]["physics_hz"],
@@ -147,7 +142,7 @@ def to_goal(curve: dict[str, list[float]], reward: str, quantity: str) -> float 
 
 
 def summarize(variant: Variant, runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Mean and spread over the seeds of a variant; `n` of its `runs` have a value: reached the goal."""
+    """What the seeds of a variant say together; `n` of its `runs` have a value: reached the goal."""
     quantities = [
         *((f"return_{reward}", "of 300") for reward in REWARDS),
         *((f"samples_to_{GOAL}_{reward}", "samples") for reward in REWARDS),
@@ -156,15 +151,30 @@ def summarize(variant: Variant, runs: Sequence[dict[str, Any]]) -> list[dict[str
     rows = []
     for quantity, unit in quantities:
         values = [run[quantity] for run in runs if run[quantity] is not None]
-        spread = {
-            "mean": _rounded(statistics.mean(values)) if values else None,
-            "sd": _rounded(statistics.stdev(values)) if len(values) > 1 else None,
-            "min": min(values, default=None),
-            "max": max(values, default=None),
-        }
         row = {"variant": variant.name, "physics_hz": runs[0]["physics_hz"], "quantity": quantity}
-        rows.append(row | spread | {"unit": unit, "n": len(values), "runs": len(runs)})
+        rows.append(row | _summary(values) | {"unit": unit, "n": len(values), "runs": len(runs)})
     return rows
+
+
+def _summary(values: Sequence[float]) -> dict[str, Any]:
+    """What the seeds say together; nothing without any."""
+    names = ("mean", "sd", "median", "iqm", "iqm_low", "iqm_high", "min", "max")
+    if not values:
+        return dict.fromkeys(names)
+    found = spread(values)
+    sd = statistics.stdev(values) if len(values) > 1 else None
+    low, high = found.interval or (None, None)
+    numbers = (
+        statistics.mean(values),
+        sd,
+        statistics.median(values),
+        found.iqm,
+        low,
+        high,
+        found.least,
+        found.greatest,
+    )
+    return {name: None if value is None else _rounded(value) for name, value in zip(names, numbers, strict=True)}
 
 
 def table(title: str, rows: Sequence[dict[str, Any]]) -> Table:

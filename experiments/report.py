@@ -62,7 +62,10 @@ DEFINITIONS = (
     "A fall is a pelvis lower than 0.6 m or higher than 1.2 m over the ground. Returns are means over 10 starting "
     "phases of 300 steps. A push lasts 0.2 s; its limit is the largest force, in 10 N steps, for which it and every "
     "smaller one was survived for 4 s, at the worst and in the median of 8 phases of the stride; sideways is the "
-    "weaker side. Heights h and delays are survived for 10 s from 8 and 10 phases."
+    "weaker side. Heights h and delays are survived for 10 s from 8 and 10 phases. Training measures its policies from "
+    "the phases k/10 of the stride, k = 0 to 9, and keeps the best by them; what is reported begins halfway between "
+    "two such phases, at (k + 1/2)/10, or (k + 1/2)/8 where there are eight. Learning curves are of training's phases, "
+    "and what a study says of a run is about its last policy, not its best."
 )
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from cassie_mjx.reporting.results import Result, blaming, find
+from cassie_mjx.reporting.spread import FEWEST
 from cassie_mjx.reporting.tables import NO_FIGURE, ROWS, Row, Table, cell, sources, span
 
 WALK_S = 10.0
@@ -109,10 +110,10 @@ def summary(folder: Path) -> Table:
         for row, values in _cells(measured).items()
         if row.experiment in SUMMARY
     ]
-    seeds = max((len(results) for _, results in measured), default=0)
+    seeds = " and ".join(f"{len(results)} of `{agent}`" for agent, results in measured if results[0].seed)
     note = (
-        f"MuJoCo C at 2 kHz; policies: mean of {seeds} training seeds (least to greatest). `stiff` is a hand-made "
-        "controller. The paper does not say at which phase of the stride it pushed."
+        f"MuJoCo C at 2 kHz. Training seeds: {seeds or 'none yet'}; interquartile mean [95% interval] (least to "
+        "greatest). `stiff` is a hand-made controller. The paper does not say at which phase of the stride it pushed."
     )
     return Table(header, rows, [note])
 
@@ -143,7 +144,8 @@ def _seeds(results: Sequence[Result]) -> str:
     seeds = [result.seed for result in results if result.seed]
     if len(seeds) == 1:
         return f", training seed {seeds[0]}"
-    return f", mean of {len(seeds)} training seeds (least to greatest)" if seeds else ""
+    interval = " [its 95% interval]" if len(seeds) >= FEWEST else ""
+    return f", interquartile mean of {len(seeds)} training seeds{interval} (least to greatest)" if seeds else ""
 
 
 def _best(measured: Sequence[tuple[str, list[Result]]]) -> str:

@@ -19,6 +19,7 @@ from cassie_mjx.evaluation import film, returns
 from cassie_mjx.evaluation.returns import agent_returns
 from cassie_mjx.evaluation.scheduler import run_trials
 from cassie_mjx.evaluation.steady import steady
+from cassie_mjx.evaluation.suites import WALK_PHASES
 from cassie_mjx.evaluation.trial import Trial
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.native import NativePhysics
@@ -82,7 +83,7 @@ def test_a_policy_that_we_ship_goes_by_its_name():
 def test_returns_are_of_senses_as_late_as_asked(model, monkeypatch):
     monkeypatch.setattr(returns, "EPISODE_STEPS", 40)
     agent, physics = make_agent("1x"), NativePhysics(model, max_delay=40)
-    (prompt, *_), (late, *_) = (agent_returns(agent, physics, delay) for delay in (0, 40))
+    (prompt, *_), (late, *_) = (agent_returns(agent, physics, WALK_PHASES, delay) for delay in (0, 40))
     assert (prompt.quantity, late.quantity) == ("return_plain", "return_plain")
     # 20 ms late, robots fall within a second.
     assert prompt.value > 39

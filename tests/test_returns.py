@@ -12,8 +12,9 @@ from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.shipped import shipped_policies
 from cassie_mjx.control.network import Network
 from cassie_mjx.evaluation import returns
-from cassie_mjx.evaluation.returns import STARTS, ReturnRecord, walk_returns
-from cassie_mjx.motion.reference import sample
+from cassie_mjx.evaluation.returns import CHOOSING_PHASES, ReturnRecord, walk_returns
+from cassie_mjx.evaluation.suites import LIMIT_PHASES, WALK_PHASES
+from cassie_mjx.motion.reference import nearest_sample, sample
 from cassie_mjx.physics.make import make_physics
 from cassie_mjx.physics.types import PhysicsState, Scenario
 from cassie_mjx.robot.model import ModelConfig
@@ -55,7 +56,18 @@ def test_rewards_count_up_to_the_first_fall(agent):
     np.testing.assert_array_equal(sums.fell, [False, True, True])
 
 
-def test_starts_are_tenths_of_the_stride(agent, physics, monkeypatch):
+def test_what_is_reported_begins_where_nothing_was_chosen(agent):
+    """On the stride that we ship, of 22 control steps."""
+    samples = agent.motion.qpos.shape[0]
+    chosen, walked, pushed = (
+        set((nearest_sample(phases, samples) % samples).tolist())
+        for phases in (CHOOSING_PHASES, WALK_PHASES, LIMIT_PHASES)
+    )
+    assert (len(chosen), len(walked), len(pushed)) == (10, 10, 8)
+    assert not chosen & walked
+
+
+def test_training_starts_at_tenths_of_the_stride(agent, physics, monkeypatch):
     begun = []
     monkeypatch.setattr(returns, "run_to_end", lambda agent, physics, begin: begun.append(begin) or begin)
     walk_returns(agent, physics, delay=0)
@@ -63,9 +75,9 @@ def test_starts_are_tenths_of_the_stride(agent, physics, monkeypatch):
     assert begun[0].record.time.tolist() == [0, 2, 4, 7, 9, 11, 13, 15, 18, 20]
     assert begun[0].robots.carry.time.tolist() == begun[0].record.time.tolist()
     walk_returns(agent, physics, delay=4)
-    assert begun[1].scenario.delay.tolist() == [4] * STARTS
+    assert begun[1].scenario.delay.tolist() == [4] * 10
     walk_returns(agent, physics, speeds=(0.0, 4.0))
-    np.testing.assert_allclose(begun[2].command.forward, np.linspace(0, 4, STARTS) * 0.5 / 0.704, atol=2e-3)
+    np.testing.assert_allclose(begun[2].command.forward, np.linspace(0, 4, 10) * 0.5 / 0.704, atol=2e-3)
 
 
 def test_a_limp_robot_falls(agent, physics):
@@ -88,23 +100,24 @@ def test_a_network_as_an_argument_gives_what_its_own_compilation_does(agent, phy
 
 
 def recorded(name):
-    """Returns of a shipped policy: as its training measured them, and as an evaluation of it is committed."""
+    """Phases and returns of a shipped policy: as its training measured it, and as its committed evaluation did."""
     policy = NumpyPolicy.load(shipped_policies()[name])
-    sources = [policy.provenance]
+    sources = [(CHOOSING_PHASES, policy.provenance)]
     path = EVALUATIONS / f"{name}-seed{policy.provenance['seed']}.json"
     if path.is_file():
-        sources.append({row["quantity"]: row["value"] for row in json.loads(path.read_text())["rows"]})
-    return [(source["return_plain"], source["return_weighted"]) for source in sources]
+        rows = json.loads(path.read_text())["rows"]
+        sources.append((WALK_PHASES, {row["quantity"]: row["value"] for row in rows}))
+    return [(phases, (source["return_plain"], source["return_weighted"])) for phases, source in sources]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["0x", "1x", "1x-robust", "2x", "3x", "4x"])
 def test_a_shipped_policy_still_earns_what_is_recorded(physics, name):
-    found = walk_returns(make_policy_agent(name), physics)
-    assert found["steps"] == 300
     expected = recorded(name)
     assert len(expected) == (2 if name in ("1x", "1x-robust", "2x") else 1)
-    for values in expected:
+    for phases, values in expected:
+        found = walk_returns(make_policy_agent(name), physics, phases)
+        assert found["steps"] == 300
         # Other processors round otherwise; a wrong sign of the reference's quaternion costs 265.
         assert (found["return_plain"], found["return_weighted"]) == pytest.approx(values, abs=0.5)
 
@@ -112,7 +125,7 @@ def test_a_shipped_policy_still_earns_what_is_recorded(physics, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("speed", ["1x", "2x"])
 def test_the_policy_of_all_speeds_still_earns_what_is_recorded(physics, speed):
-    found = walk_returns(make_policy_agent("any", speed=speed), physics)
+    found = walk_returns(make_policy_agent("any", speed=speed), physics, WALK_PHASES)
     rows = json.loads((EVALUATIONS / f"any-{speed}-seed0.json").read_text())["rows"]
     expected = {row["quantity"]: row["value"] for row in rows}
     for quantity in ("return_plain", "return_weighted"):

@@ -4,10 +4,11 @@ import json
 from dataclasses import replace
 
 import pytest
+from tiny import config
+
 from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.training import runner, schedule
 from cassie_mjx.training.config import TrainConfig
-from tiny import config
 
 
 def iterations(config: TrainConfig, walked: float) -> tuple[list[int], list[int]]:

@@ -36,7 +36,7 @@ class Imitating(Still):
 
 @pytest.fixture(autouse=True)
 def returns(monkeypatch):
-    def by_hand(agent, physics, delay=0):
+    def by_hand(agent, physics, phases, delay=0):
         imitates = isinstance(agent, Imitating)
         return [Metric("return_plain", 300.0 - 10 * delay, "of 300", 10)] if imitates else []
 

@@ -182,7 +182,7 @@ def test_a_run_measures_what_its_policy_file_has(tmp_path):
     session(tmp_path, walk=WalkConfig(symmetric=True)).train()
     last = json.loads((tmp_path / "metrics.jsonl").read_text().splitlines()[-1])
     agent = make_agent(str(tmp_path))
-    metrics = {metric.quantity: metric.value for metric in agent_returns(agent, EvalSetup().physics())}
+    metrics = {metric.quantity: metric.value for metric in agent_returns(agent, EvalSetup().physics(), WALK_PHASES)}
     assert NumpyPolicy.load(tmp_path / "best.npz").mirror
     assert metrics["return_plain"] == pytest.approx(last["eval/return_plain"], rel=1e-5)
 

@@ -19,7 +19,9 @@ from cassie_mjx.robot.arrays import Array, namespace
 from cassie_mjx.robot.cassie import PELVIS_X, PELVIS_Z
 from cassie_mjx.robot.ground import height_below
 
-STARTS = 10
+CHOOSING_PHASES = np.arange(10) / 10
+"""Phases of the stride that training measures from, and by which it chooses its best policy."""
+
 EPISODE_STEPS = 300
 
 
@@ -87,40 +89,45 @@ def _rewards(
 
 
 def walk_returns(
-    agent: PolicyAgent, physics: Physics, speeds: tuple[float, float] = (1.0, 1.0), delay: int = 0
+    agent: PolicyAgent,
+    physics: Physics,
+    phases: np.ndarray = CHOOSING_PHASES,
+    speeds: tuple[float, float] = (1.0, 1.0),
+    delay: int = 0,
 ) -> dict[str, float]:
-    """Walk one episode of 300 control steps from each of ten phases of the stride, k/10; rewards after a fall are 0.
+    """Walk one episode of 300 control steps from each of several phases of the stride; rewards after a fall are 0.
 
     Args:
       agent: the policy.
       physics: the engine.
-      speeds: lowest and highest factor on the motion's speed; the ten commands go from the one to the other.
+      phases: of the stride at the start, 0 to 1, [B].
+      speeds: lowest and highest factor on the motion's speed; the B commands go from the one to the other.
       delay: age of what is sensed, physics steps.
 
     Returns:
-      Means over the ten starts: `return_plain`, `return_weighted`, and `steps` survived, of 300.
+      Means over the starts: `return_plain`, `return_weighted`, and `steps` survived, of 300.
     """
-    samples = agent.motion.qpos.shape[0]
-    time = (nearest_sample(np.arange(STARTS) / STARTS, samples) % samples).astype(np.int32)
+    samples, starts = agent.motion.qpos.shape[0], len(phases)
+    time = (nearest_sample(phases, samples) % samples).astype(np.int32)
     command = None
     if speeds != (1.0, 1.0):
-        command = Command(np.float32(mean_speed(agent.motion)) * np.linspace(*speeds, STARTS, dtype=np.float32))
+        command = Command(np.float32(mean_speed(agent.motion)) * np.linspace(*speeds, starts, dtype=np.float32))
     qpos, qvel = sample(agent.motion, time, command)
     state = physics.init(np.asarray(qpos, float), np.asarray(qvel, float))
-    scenario = Scenario.nominal(STARTS, kd_scale=np.asarray(agent.kd_scale), delay=np.int32(delay))
+    scenario = Scenario.nominal(starts, kd_scale=np.asarray(agent.kd_scale), delay=np.int32(delay))
     carry = agent.init(Sensed(state.qpos, state.qvel), time)
-    zeros = np.zeros(STARTS)
-    record = ReturnRecord(time, np.zeros(STARTS, int), zeros > 0, zeros, zeros, command, agent.motion)
+    zeros = np.zeros(starts)
+    record = ReturnRecord(time, np.zeros(starts, int), zeros > 0, zeros, zeros, command, agent.motion)
     simulation = Simulation(AgentState(state, carry), scenario, record, command)
     record = run_to_end(agent, physics, simulation).record
     sums = {"return_plain": record.plain, "return_weighted": record.weighted, "steps": record.steps}
     return {name: float(np.mean(values)) for name, values in sums.items()}
 
 
-def agent_returns(agent: Agent, physics: Physics, delay: int = 0) -> list[Metric]:
+def agent_returns(agent: Agent, physics: Physics, phases: np.ndarray, delay: int = 0) -> list[Metric]:
     """Returns of walking on the flat, sensing what was `delay` physics steps ago; none if it imitates nothing."""
     if not isinstance(agent, PolicyAgent):
         return []
-    found = walk_returns(agent, physics, delay=delay)
+    found = walk_returns(agent, physics, phases, delay=delay)
     unit = f"of {EPISODE_STEPS}"
-    return [Metric(name, found[name], unit, STARTS) for name in ("return_plain", "return_weighted")]
+    return [Metric(name, found[name], unit, len(phases)) for name in ("return_plain", "return_weighted")]

@@ -24,8 +24,10 @@ from cassie_mjx.physics.types import Physics
 from cassie_mjx.robot.model import MJX_TESTING, ModelConfig
 
 WALK_S, LONG_WALK_S = 10.0, 60.0
-WALK_PHASES = np.arange(10) / 10
-LIMIT_PHASES = np.arange(8) / 8
+WALK_PHASES = (np.arange(10) + 0.5) / 10
+"""Phases of the stride at which walks begin: others than training measures from (`returns.CHOOSING_PHASES`)."""
+LIMIT_PHASES = (np.arange(8) + 0.5) / 8
+"""Phases at which pushes, and walks over terrain, begin."""
 PUSH_STEP_N, LARGEST_PUSH_N = 10, 400
 DIRECTIONS = {"forward": (1, 0), "backward": (-1, 0), "left": (0, 1), "right": (0, -1)}
 MAP_DIRECTIONS_DEG = np.arange(16) * 22.5
@@ -91,7 +93,7 @@ def walk(agent: Agent, setup: EvalSetup) -> SuiteResult:
     Of an agent that falls before it walks steadily, the returns and a survival of 0 s are all there is.
     """
     physics = setup.physics()
-    metrics = agent_returns(agent, physics)
+    metrics = agent_returns(agent, physics, WALK_PHASES)
     try:
         starts = setup.starts(agent, WALK_PHASES)
     except NeverSteady:
@@ -202,7 +204,10 @@ def delay(agent: Agent, setup: EvalSetup) -> SuiteResult:
         steps = round(late_ms / step_ms)
         trials = [Trial(start, WALK_S, delay=steps) for start in range(len(WALK_PHASES))]
         survived_s = run_trials(agent, physics, starts, trials, setup.progress).survived_s
-        late = [*agent_returns(agent, physics, steps), Metric("survived_s", float(survived_s.min()), "s", len(trials))]
+        late = [
+            *agent_returns(agent, physics, WALK_PHASES, steps),
+            Metric("survived_s", float(survived_s.min()), "s", len(trials)),
+        ]
         metrics += [metric._replace(quantity=f"delay_{late_ms}ms_{metric.quantity}") for metric in late]
     lasting = _Lasting("delay_max_ms", "ms", step_ms, physics.max_delay, lambda level: {"delay": level})
     return SuiteResult(metrics + _limits(lasting, agent, physics, starts, setup))

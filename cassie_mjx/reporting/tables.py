@@ -1,11 +1,11 @@
 """What result files say, as tables beside the paper's figures."""
 
-import statistics
 import textwrap
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from cassie_mjx.reporting.results import Result
+from cassie_mjx.reporting.spread import spread
 
 NO_FIGURE = "–"
 
@@ -63,7 +63,7 @@ def least(result: Result, quantities: Sequence[str]) -> float | None:
 
 
 def cell(row: Row, results: Sequence[Result]) -> str:
-    """The mean over the results, one a seed, and the least and greatest of them."""
+    """The interquartile mean over the results, one a seed, and the least and greatest of them."""
     values = [value for result in results if (value := least(result, row.quantities)) is not None]
     if not values:
         return NO_FIGURE
@@ -75,9 +75,11 @@ def cell(row: Row, results: Sequence[Result]) -> str:
 
 
 def span(values: Sequence[float], digits: int) -> str:
-    """The mean and, unless they are alike, the least and greatest of some values."""
-    mean, low, high = (f"{f(values):.{digits}f}" for f in (statistics.mean, min, max))
-    return mean if low == high else f"{mean} ({low} to {high})"
+    """The interquartile mean of some values; unless they are alike, its interval if known, and the least and greatest."""
+    found = spread(values)
+    mean, low, high = (f"{value:.{digits}f}" for value in (found.iqm, found.least, found.greatest))
+    sure = "" if found.interval is None else " [{:.{d}f}, {:.{d}f}]".format(*found.interval, d=digits)
+    return mean if low == high else f"{mean}{sure} ({low} to {high})"
 
 
 def sources(results: Sequence[Result], folder: str = " in `experiments/results`") -> str:

@@ -193,7 +193,7 @@ class Runner:
     def _returns(self) -> tuple[Policy, dict[str, float]]:
         """The present policy, and what it is worth."""
         policy = devices.own_copy(self.run.learner.policy)
-        returns = walk_returns(self._agent(policy), self.eval_engine, self.speeds)
+        returns = walk_returns(self._agent(policy), self.eval_engine, speeds=self.speeds)
         self.counters.walked, self.counters.measurements = returns["steps"], self.counters.measurements + 1
         return policy, returns
 
