@@ -163,17 +163,8 @@ def _summary(values: Sequence[float]) -> dict[str, Any]:
         return dict.fromkeys(names)
     found = spread(values)
     sd = statistics.stdev(values) if len(values) > 1 else None
-    low, high = found.interval or (None, None)
-    numbers = (
-        statistics.mean(values),
-        sd,
-        statistics.median(values),
-        found.iqm,
-        low,
-        high,
-        found.least,
-        found.greatest,
-    )
+    middle = (statistics.mean(values), sd, statistics.median(values))
+    numbers = (*middle, found.iqm, *(found.interval or (None, None)), found.least, found.greatest)
     return {name: None if value is None else _rounded(value) for name, value in zip(names, numbers, strict=True)}
 
 

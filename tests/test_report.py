@@ -86,10 +86,10 @@ def everything(tmp_path):
     return folder
 
 
-def test_cells_are_mean_least_and_greatest_of_the_seeds(everything):
+def test_cells_are_interquartile_mean_least_and_greatest_of_the_seeds(everything):
     table = tables.beside_the_paper(everything)
     ours = next(name for name in table.header if name.startswith("`1x`"))
-    assert ours == "`1x`, mean of 3 training seeds (least to greatest)"
+    assert ours == "`1x`, interquartile mean of 3 training seeds (least to greatest)"
     push = row_of(table, "push forward, worst")
     # (100 + 120 + 170) / 3 = 130
     assert (push[ours], push["`stiff`"], push["paper: policy"]) == ("130 (100 to 170)", "220", "140")
@@ -108,7 +108,7 @@ def test_sideways_is_the_weaker_side_and_needs_both(everything, tmp_path):
 def test_a_figure_that_some_seeds_lack_says_so(everything):
     write(everything, "evaluate/1x-seed3.json", figures(return_plain=293))
     row = row_of(tables.beside_the_paper(everything), "push forward, worst")
-    assert row["`1x`, mean of 4 training seeds (least to greatest)"] == "130 (100 to 170) (3 of 4 seeds)"
+    assert row["`1x`, interquartile mean of 4 training seeds (least to greatest)"] == "130 (100 to 170) (3 of 4 seeds)"
 
 
 def test_a_limit_at_the_highest_level_tried_says_so(everything):
@@ -177,7 +177,7 @@ def test_the_policy_of_all_speeds_stands_beside_those_of_one(everything):
     table = tables.beside_each_other(everything, tables.ALL_SPEEDS)
     assert table is not None
     assert table.header[1:-1] == (
-        "`1x`, mean of 3 training seeds (least to greatest)",
+        "`1x`, interquartile mean of 3 training seeds (least to greatest)",
         "`any speed=2x`, training seed 0",
     )
     assert row_of(table, "push forward, worst")["`any speed=2x`, training seed 0"] == "90"

@@ -20,7 +20,7 @@ from cassie_mjx.control.law import ControlLaw, second_step
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.evaluation.returns import agent_returns
-from cassie_mjx.evaluation.suites import EvalSetup
+from cassie_mjx.evaluation.suites import WALK_PHASES, EvalSetup
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import stretch
 from cassie_mjx.physics.make import make_physics

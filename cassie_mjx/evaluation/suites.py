@@ -204,10 +204,8 @@ def delay(agent: Agent, setup: EvalSetup) -> SuiteResult:
         steps = round(late_ms / step_ms)
         trials = [Trial(start, WALK_S, delay=steps) for start in range(len(WALK_PHASES))]
         survived_s = run_trials(agent, physics, starts, trials, setup.progress).survived_s
-        late = [
-            *agent_returns(agent, physics, WALK_PHASES, steps),
-            Metric("survived_s", float(survived_s.min()), "s", len(trials)),
-        ]
+        late = agent_returns(agent, physics, WALK_PHASES, steps)
+        late += [Metric("survived_s", float(survived_s.min()), "s", len(trials))]
         metrics += [metric._replace(quantity=f"delay_{late_ms}ms_{metric.quantity}") for metric in late]
     lasting = _Lasting("delay_max_ms", "ms", step_ms, physics.max_delay, lambda level: {"delay": level})
     return SuiteResult(metrics + _limits(lasting, agent, physics, starts, setup))

@@ -75,7 +75,7 @@ def cell(row: Row, results: Sequence[Result]) -> str:
 
 
 def span(values: Sequence[float], digits: int) -> str:
-    """The interquartile mean of some values; unless they are alike, its interval if known, and the least and greatest."""
+    """The interquartile mean; unless all values are alike, its interval if known, and the least and greatest."""
     found = spread(values)
     mean, low, high = (f"{value:.{digits}f}" for value in (found.iqm, found.least, found.greatest))
     sure = "" if found.interval is None else " [{:.{d}f}, {:.{d}f}]".format(*found.interval, d=digits)
