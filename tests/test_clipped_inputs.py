@@ -36,11 +36,12 @@ def task(name):
 def clipped_share(name):
     """Share of each input of the policy that is clipped, over whole episodes of its own task without noise, [O]."""
     saved, (walk, speeds) = load_policy(name), task(name)
-    assert control_law(saved) == walk.law
-    policy, motion = learner_policy(saved), (saved.reference_qpos, saved.reference_qvel, saved.reference_stride_length)
+    motion = ReferenceMotion(saved.reference_qpos, saved.reference_qvel, saved.reference_stride_length)
+    policy = learner_policy(saved)
+    assert control_law(saved) == walk.law(motion)
     model = ModelConfig(physics_hz=500, scene="terrain" if walk.scenario.terrain_m else "flat")
     physics = make_physics("native", model, walk.scenario.delay_steps(500))
-    env = WalkEnv(physics, ReferenceMotion(*motion), walk, ROBOTS, speeds)
+    env = WalkEnv(physics, motion, walk, ROBOTS, speeds)
     act = jax.jit(lambda observation: networks.mode(policy, observation))
     inputs = jax.jit(lambda observation: normalizer.normalize(policy.normalizer, observation))
     key, clipped = jax.random.key(0), np.zeros(saved.mean.shape)

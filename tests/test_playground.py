@@ -42,7 +42,7 @@ def test_playground_knows_it_by_name(registry):
     assert (env.observation_size, env.action_size) == (80, 10)
     assert (env.dt, env.n_substeps) == (0.032, 16)
     assert float(env._walk.motion.stride_length) == pytest.approx(2 * 0.5001, abs=1e-3)
-    assert env._walk.config.symmetric
+    assert env._walk.law.symmetric
     assert env._walk.physics.model.opt.timestep == 0.002
     assert env.mj_model.nu == 10
     assert "CassieWalk" in registry.locomotion.ALL_ENVS

@@ -116,7 +116,7 @@ def test_a_shipped_policy_still_earns_what_is_recorded(physics, name):
     expected = recorded(name)
     assert len(expected) == (2 if name in ("1x", "1x-robust", "2x") else 1)
     for phases, values in expected:
-        found = walk_returns(make_policy_agent(name), physics, phases)
+        found = walk_returns(make_policy_agent(name), physics, phases=phases)
         assert found["steps"] == 300
         # Other processors round otherwise; a wrong sign of the reference's quaternion costs 265.
         assert (found["return_plain"], found["return_weighted"]) == pytest.approx(values, abs=0.5)
@@ -125,7 +125,7 @@ def test_a_shipped_policy_still_earns_what_is_recorded(physics, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("speed", ["1x", "2x"])
 def test_the_policy_of_all_speeds_still_earns_what_is_recorded(physics, speed):
-    found = walk_returns(make_policy_agent("any", speed=speed), physics, WALK_PHASES)
+    found = walk_returns(make_policy_agent("any", speed=speed), physics, phases=WALK_PHASES)
     rows = json.loads((EVALUATIONS / f"any-{speed}-seed0.json").read_text())["rows"]
     expected = {row["quantity"]: row["value"] for row in rows}
     for quantity in ("return_plain", "return_weighted"):

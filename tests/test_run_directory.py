@@ -175,7 +175,7 @@ def test_what_a_run_was_begun_with_is_given_as_the_command_line_takes_it(tmp_pat
 
 def test_a_run_can_be_made_longer_and_measured_otherwise(tmp_path):
     folder = begun(tmp_path)
-    restored, _, notes = claim(folder, ppo=longer(5), evaluate_every=1, resume=True)
+    restored, _, _, notes = claim(folder, ppo=longer(5), evaluate_every=1, resume=True)
     assert restored is not None
     assert notes == [
         "From iteration 1 on: ppo.iterations=5 instead of 2, evaluate_every=1 instead of 2; schedules count to the "
@@ -225,7 +225,7 @@ def test_a_run_whose_reference_has_moved_goes_on(recorded, tmp_path):
     path.rename(moved)
     assert claim(run, reference=str(moved), resume=True).notes == []
     # The old command still works, with what the checkpoint holds.
-    _, motion, (note,) = claim(run, reference=str(path), resume=True)
+    _, motion, _, (note,) = claim(run, reference=str(path), resume=True)
     assert note == f"reference={path} is not here: the run goes on with the motion in its checkpoint."
     assert np.array_equal(motion.qpos, MOTION.qpos)
     assert claim(run, reference="walk", resume=True).notes == []

@@ -19,8 +19,8 @@ from cassie_mjx.control import command as motions
 from cassie_mjx.control.law import ControlLaw, second_step
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.walk import WalkEnv
-from cassie_mjx.evaluation.returns import agent_returns
-from cassie_mjx.evaluation.suites import WALK_PHASES, EvalSetup
+from cassie_mjx.evaluation.returns import CHOOSING_PHASES, agent_returns
+from cassie_mjx.evaluation.suites import EvalSetup
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import stretch
 from cassie_mjx.physics.make import make_physics
@@ -107,7 +107,7 @@ def test_a_policy_does_in_both_steps_what_it_learned_in_one(motion, policy, engi
     physics = make_physics(engine, replace(MJX_TRAINING, physics_hz=500), max_delay=delay)
     task, mode = WalkConfig(episode_steps=5), jax.jit(partial(networks.mode, policy))
     trained = WalkEnv(physics, motion, replace(task, symmetric=True), 22, speeds)
-    deployed = WalkEnv(physics, motion, task, 22, speeds)
+    deployed = WalkEnv(physics, motion, replace(task, symmetric=False), 22, speeds)
     ended = 0
     for (ours, ahead), (theirs, _) in zip(
         states_of(trained, lambda seen, _: mode(seen), delay),
@@ -182,7 +182,7 @@ def test_a_run_measures_what_its_policy_file_has(tmp_path):
     session(tmp_path, walk=WalkConfig(symmetric=True)).train()
     last = json.loads((tmp_path / "metrics.jsonl").read_text().splitlines()[-1])
     agent = make_agent(str(tmp_path))
-    metrics = {metric.quantity: metric.value for metric in agent_returns(agent, EvalSetup().physics(), WALK_PHASES)}
+    metrics = {metric.quantity: metric.value for metric in agent_returns(agent, EvalSetup().physics(), CHOOSING_PHASES)}
     assert NumpyPolicy.load(tmp_path / "best.npz").mirror
     assert metrics["return_plain"] == pytest.approx(last["eval/return_plain"], rel=1e-5)
 
@@ -195,7 +195,7 @@ def test_training_goes_on_from_any_policy_that_fits(path, tmp_path):
         kernel, _ = networks.layers(begun.run.learner.policy.actor)[0]
         np.testing.assert_array_equal(kernel, NumpyPolicy.load(source).weights[0][0])
     with pytest.raises(ValueError, match=r"policy\.npz learned one step of the stride alone; set walk\.symmetric=true"):
-        session(tmp_path / "c", init=str(path), ppo=network)
+        session(tmp_path / "c", init=str(path), ppo=network, walk=WalkConfig(symmetric=False))
     assert not (tmp_path / "c").exists()
 
 

@@ -9,6 +9,7 @@ from cassie_mjx.control.law import ControlLaw
 from cassie_mjx.control.observation import OBSERVATIONS
 from cassie_mjx.envs import reward
 from cassie_mjx.envs.scenario import ScenarioConfig
+from cassie_mjx.motion.reference import ReferenceMotion, steps_mirror
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
 
 
@@ -44,15 +45,25 @@ class WalkConfig(Checked):
     """Factor on the published D gains of the PD law; with less, robots bear to sense and act later."""
     observation: str = "full"
     """What the policy observes: "full", the 80-D state of the paper, is the list of terms that we ship."""
-    symmetric: bool = False
-    """Whether the policy learns one of the stride's two steps and sees and acts in the other as in a mirror."""
+    symmetric: bool | None = None
+    """Whether the policy learns one of the stride's two steps and sees and acts in the other as in a mirror; null: if
+    the second step of the reference motion is the mirror image of its first."""
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     """What robots are put through besides walking."""
 
-    @property
-    def law(self) -> ControlLaw:
-        """The law that the policy learns."""
-        return ControlLaw(OBSERVATIONS[self.observation], self.symmetric)
+    def law(self, motion: ReferenceMotion) -> ControlLaw:
+        """The law of a policy that imitates `motion`.
+
+        Raises:
+          ValueError: `symmetric` is true, and the motion's second step is not the mirror image of its first.
+        """
+        mirrors = steps_mirror(motion)
+        if self.symmetric and not mirrors:
+            raise ValueError(
+                "symmetric=true needs a reference whose second step mirrors its first, and this one's does not; "
+                "set walk.symmetric=false."
+            )
+        return ControlLaw(OBSERVATIONS[self.observation], mirrors if self.symmetric is None else self.symmetric)
 
 
 WALK_PRESETS = {
@@ -62,7 +73,6 @@ WALK_PRESETS = {
         max_position_error_m=None,
         start_offset_m=1.0,
         kd_scale=0.3,
-        symmetric=True,
         scenario=ScenarioConfig(push_n=300, push_pause_s=2, terrain_m=0.25, delay_s=0.01),
     ),
 }

@@ -19,7 +19,7 @@ from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.scenario import draw_scenario, renew_scenario
 from cassie_mjx.envs.termination import Ends, ends
 from cassie_mjx.envs.types import Start, StartOffset, StepOutcome, WalkState
-from cassie_mjx.motion.reference import ReferenceMotion, steps_mirror
+from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.types import Physics, Scenario, delayed, merge, to_backend
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
@@ -59,7 +59,7 @@ class WalkEnv:
             motion's second step is not the mirror image of its first.
         """
         self.physics, self.config, self.robots, self.speeds = physics, config, robots, speeds
-        self.law = config.law
+        self.law = config.law(motion)
         # Mean time between commanded speeds, s; None if every episode has one alone.
         self._command_s = config.command_s if speeds[0] < speeds[1] else None
         arrays = {name: jnp.asarray(getattr(motion, name), jnp.float32) for name in ("qpos", "qvel", "stride_length")}
@@ -72,11 +72,6 @@ class WalkEnv:
             raise ValueError(
                 f"delay_s={config.scenario.delay_s:g} is {longest} physics steps; "
                 f"this engine was made for 0 to {physics.max_delay}."
-            )
-        if config.symmetric and not steps_mirror(motion):
-            raise ValueError(
-                "symmetric=true needs a reference whose second step mirrors its first, and this one's does not; "
-                "set walk.symmetric=false."
             )
         self._target = jax.jit(self._pd_target)
         self._outcome = jax.jit(self._post_physics)

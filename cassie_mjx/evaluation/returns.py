@@ -91,8 +91,8 @@ def _rewards(
 def walk_returns(
     agent: PolicyAgent,
     physics: Physics,
-    phases: np.ndarray = CHOOSING_PHASES,
     speeds: tuple[float, float] = (1.0, 1.0),
+    phases: np.ndarray = CHOOSING_PHASES,
     delay: int = 0,
 ) -> dict[str, float]:
     """Walk one episode of 300 control steps from each of several phases of the stride; rewards after a fall are 0.
@@ -100,8 +100,8 @@ def walk_returns(
     Args:
       agent: the policy.
       physics: the engine.
-      phases: of the stride at the start, 0 to 1, [B].
       speeds: lowest and highest factor on the motion's speed; the B commands go from the one to the other.
+      phases: of the stride at the start, 0 to 1, [B].
       delay: age of what is sensed, physics steps.
 
     Returns:
@@ -128,6 +128,6 @@ def agent_returns(agent: Agent, physics: Physics, phases: np.ndarray, delay: int
     """Returns of walking on the flat, sensing what was `delay` physics steps ago; none if it imitates nothing."""
     if not isinstance(agent, PolicyAgent):
         return []
-    found = walk_returns(agent, physics, phases, delay=delay)
+    found = walk_returns(agent, physics, phases=phases, delay=delay)
     unit = f"of {EPISODE_STEPS}"
     return [Metric(name, found[name], unit, len(phases)) for name in ("return_plain", "return_weighted")]

@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 
 from cassie_mjx.configuration.values import shown
+from cassie_mjx.control.observation import OBSERVATIONS
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.robot import cassie
@@ -19,7 +20,7 @@ BYTES_OF_MJX_ROBOT = 80_000
 
 def needed_bytes(ppo: PPOConfig, walk: WalkConfig, physics: str, physics_hz: int) -> int:
     """About what the largest arrays of a run take, over all devices."""
-    widths, observed = ppo.hidden_sizes, walk.law.observation.size
+    widths, observed = ppo.hidden_sizes, OBSERVATIONS[walk.observation].size
     sample = 4 * (COPIES_OF_OBSERVATIONS * observed + COPIES_OF_LAYERS * max(widths))
     weights = sum(a * b for a, b in pairwise((observed, *widths, cassie.NU)))
     history = walk.scenario.delay_steps(physics_hz) + 1

@@ -18,6 +18,7 @@ import numpy as np
 
 from cassie_mjx import cli
 from cassie_mjx.agents.shipped import policy_path
+from cassie_mjx.control.law import ControlLaw
 from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.motion.files import SHIPPED, load_motion
 from cassie_mjx.motion.reference import ReferenceMotion, stretch
@@ -42,6 +43,8 @@ class Claim(NamedTuple):
     """Its last whole checkpoint; None for a run that begins."""
     motion: ReferenceMotion
     """What is imitated."""
+    law: ControlLaw
+    """The law that the policy learns."""
     notes: list[str]
     """Sentences that its user should read: damaged checkpoints, other versions, changes."""
 
@@ -51,7 +54,8 @@ def claim(folder: Path, config: TrainConfig, provenance: dict[str, Any]) -> Clai
 
     Raises:
       ValueError: it holds a run already and `resume` is not set, or another run, or files of something else to resume,
-        or a run without its checkpoints; the reference is missing or another; or the hosts do not share the directory.
+        or a run without its checkpoints; the reference is missing, another, or does not mirror its steps as the task
+        needs; or the hosts do not share the directory.
       OSError: it cannot be written.
     """
     held, wanted = _look(folder, config.resume), comparable(asdict(config))
@@ -65,6 +69,7 @@ def claim(folder: Path, config: TrainConfig, provenance: dict[str, Any]) -> Clai
         raise ValueError(f"{folder} is not the same directory on all hosts; choose a run_dir that they share.")
     restored, damaged = checkpoint.restore_last(folder / "checkpoints", counters.from_record) if held else (None, [])
     motion, notes = _motion(config, held, restored)
+    law = config.walk.law(motion)
     notes = [*(f"{sentence} The run goes on from the checkpoint before it." for sentence in damaged), *notes]
     if held is None:
         digest = {} if config.init is None else {"init_sha256": _policy_digest(config.init)}
@@ -75,7 +80,7 @@ def claim(folder: Path, config: TrainConfig, provenance: dict[str, Any]) -> Clai
         notes.append(f"{folder} holds a run without a checkpoint yet, which begins anew.")
     if restored:
         notes += changes(held.get("provenance", {}), provenance)
-    return Claim(restored, motion, notes + _change(folder, held, wanted, restored.iteration if restored else 0))
+    return Claim(restored, motion, law, notes + _change(folder, held, wanted, restored.iteration if restored else 0))
 
 
 def changes(before: dict[str, Any], now: dict[str, Any]) -> list[str]:

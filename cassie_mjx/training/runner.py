@@ -52,7 +52,7 @@ class Runner:
         begun = checkpoint.latest(self.folder / "checkpoints") is not None
         init = None if begun else initial_policy(config)
         self.provenance = cli.provenance()
-        restored, self.motion, self.notes = run_directory.claim(self.folder, config, self.provenance)
+        restored, self.motion, self.law, self.notes = run_directory.claim(self.folder, config, self.provenance)
         self.trainer = Trainer(config, self.motion)
         self.run, self.counters, self.interval = (
             self.trainer.start(learner_policy(init) if init else None),
@@ -65,10 +65,10 @@ class Runner:
             self.trainer.timer.seconds = self.interval.seconds
         self.saved = self.done if restored else None
         self.begins = restored is None
-        self.notes += unlike(config, init, self.motion) if init else []
+        self.notes += unlike(config, init, self.motion, self.law) if init else []
         self.terminal = Terminal(console, config.ppo.iterations, self.done)
         self.sinks = Sinks(self.folder, config, self.samples, self.terminal.say) if devices.is_first() else None
-        self.law, self.speeds = config.walk.law, speeds
+        self.speeds = speeds
         self.eval_engine = make_physics("native", ModelConfig())
         motion = self.trainer.env.motion
         self.policy_step = jax.jit(partial(policy_step, self.law, motion))
@@ -193,7 +193,7 @@ class Runner:
     def _returns(self) -> tuple[Policy, dict[str, float]]:
         """The present policy, and what it is worth."""
         policy = devices.own_copy(self.run.learner.policy)
-        returns = walk_returns(self._agent(policy), self.eval_engine, speeds=self.speeds)
+        returns = walk_returns(self._agent(policy), self.eval_engine, self.speeds)
         self.counters.walked, self.counters.measurements = returns["steps"], self.counters.measurements + 1
         return policy, returns
 

@@ -12,6 +12,7 @@ import numpy as np
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy_file import learner_policy
 from cassie_mjx.agents.shipped import existing_policy
+from cassie_mjx.control.law import ControlLaw
 from cassie_mjx.envs.termination import Ends
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.command import speed_factors
@@ -61,13 +62,13 @@ def initial_policy(config: TrainConfig) -> NumpyPolicy | None:
     widths = tuple(len(bias) for _, bias in saved.weights[:-1])
     if widths != config.ppo.hidden_sizes:
         raise ValueError(f"init={config.init} has hidden layers of {list(widths)}; set ppo.hidden_sizes to that.")
-    if saved.mirror and not config.walk.symmetric:
+    if saved.mirror and config.walk.symmetric is False:
         raise ValueError(f"init={config.init} learned one step of the stride alone; set walk.symmetric=true.")
     learner_policy(saved)
     return saved
 
 
-def unlike(config: TrainConfig, saved: NumpyPolicy, motion: ReferenceMotion) -> list[str]:
+def unlike(config: TrainConfig, saved: NumpyPolicy, motion: ReferenceMotion, law: ControlLaw) -> list[str]:
     """Sentences about what the policy of `config.init` was trained with and this run is not, besides its speed."""
     notes, kd_scale = [], float(saved.d_gain[0] / cassie.D_GAIN[0])
     if not np.isclose(kd_scale, config.walk.kd_scale, rtol=1e-3):
@@ -75,6 +76,8 @@ def unlike(config: TrainConfig, saved: NumpyPolicy, motion: ReferenceMotion) -> 
             f"init={config.init} was trained with {kd_scale:g} times the published D gains, this run has "
             f"{config.walk.kd_scale:g} times."
         )
+    if saved.mirror and not law.symmetric:
+        notes.append(f"init={config.init} learned one step of the stride alone, this run learns both.")
     ours, theirs = np.asarray(motion.qpos)[:, 1:], saved.reference_qpos[:, 1:]
     if ours.shape != theirs.shape or np.abs(ours - theirs).max() > 1e-3:
         notes.append(f"init={config.init} imitated another motion than reference={config.reference}.")
