@@ -13,9 +13,13 @@ import os  # noqa: E402
 from importlib import import_module  # noqa: E402
 from typing import TYPE_CHECKING, Any  # noqa: E402
 
+from cassie_mjx import gymnasium_id  # noqa: E402
+
 # XLA on CPU calls every program that it loads from the compilation cache a possible mismatch, in pages of CPU features
 # (it compares with features that it added itself), so only what is fatal is shown; errors still raise.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+gymnasium_id.announce()
 
 if TYPE_CHECKING:
     from cassie_mjx.agents.controller import Controller as Controller

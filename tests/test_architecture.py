@@ -16,7 +16,7 @@ SOURCES = sorted(PACKAGE.rglob("*.py")) + sorted((ROOT / "experiments").glob("*.
 
 # The house from the ground up: a package may import its own layer and those below. A new one finds its place here.
 LAYERS = (
-    {"starting", "configuration", "files"},
+    {"starting", "gymnasium_id", "configuration", "files"},
     {"robot", "cli", "numpy_policy"},
     {"motion", "control", "reporting"},
     {"physics"},

@@ -18,7 +18,7 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402
 from gymnasium.vector import AutoresetMode, SyncVectorEnv  # noqa: E402
 from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
 
-ID = "cassie_mjx.envs.gymnasium_env:CassieMJX/Walk-v0"
+ID = "CassieMJX/Walk-v0"
 ROBOTS = 2
 SHORT = WalkConfig(episode_steps=3, min_reward=None, max_position_error_m=None)
 
@@ -212,12 +212,51 @@ def test_a_step_that_cannot_be_is_one_sentence(envs):
 
 
 def python(program):
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert not done.stderr
     return done.stdout.splitlines()
 
 
 def test_importing_the_package_imports_no_gymnasium():
     assert python("import sys, cassie_mjx; print('gymnasium' in sys.modules)") == ["False"]
+
+
+BOTH = ("import cassie_mjx, gymnasium", "import gymnasium, cassie_mjx")
+
+
+@pytest.mark.parametrize("imports", BOTH)
+def test_the_id_is_known_once_both_are_imported(imports):
+    program = f"""
+import sys
+{imports}
+print(gymnasium.spec("{ID}").vector_entry_point, *{{"jax", "mujoco"}} & sys.modules.keys())
+print(gymnasium.__spec__.loader.get_filename("gymnasium") == gymnasium.__file__)
+"""
+    assert python(program) == ["cassie_mjx.envs.gymnasium_env:GymnasiumVectorEnv", "True"]
+
+
+@pytest.mark.parametrize(("imports", "name"), [(BOTH[0], ID), ("import gymnasium", f"cassie_mjx:{ID}")])
+def test_sixty_four_robots_in_a_fresh_process(imports, name):
+    program = f"""
+import warnings
+{imports}
+warnings.simplefilter("error")
+print(gymnasium.make_vec("{name}", num_envs=64).observation_space.shape)
+"""
+    assert python(program) == ["(64, 80)"]
+
+
+@pytest.mark.parametrize("module", ["gymnasium", "no_such_module"])
+def test_a_module_that_is_not_there_is_still_not_there(module):
+    program = f"""
+import sys, cassie_mjx
+sys.path = [p for p in sys.path if "site-packages" not in p]
+try:
+    import {module}
+except ModuleNotFoundError as error:
+    print(error)
+"""
+    assert python(program) == [f"No module named '{module}'"]
 
 
 def test_without_gymnasium_it_says_what_to_install():

@@ -3,12 +3,14 @@
 import io
 import json
 import os
+import re
 import shlex
 import shutil
 import signal
 import subprocess
 import sys
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import jax
 import mujoco
@@ -146,6 +148,12 @@ def test_a_run_holds_everything(unbroken):
     assert sum(shares) < 1
     assert (unbroken / "last.npz").exists()
     assert list((unbroken / "tensorboard").iterdir())
+
+
+def test_the_guide_lists_every_number_of_a_run(unbroken):
+    page = (Path(__file__).parents[1] / "docs" / "numbers.md").read_text()
+    listed = re.findall(r"^\| `((?:train|time|eval|learner)/\w+)` \|", page, re.M)
+    assert sorted(listed) == sorted(json.loads((unbroken / "metrics.jsonl").read_text().splitlines()[-1]))
 
 
 def test_the_best_policy_is_that_of_the_best_line(unbroken):

@@ -1,8 +1,6 @@
 """Gymnasium's views of the walking task, one robot or many, on MuJoCo C.
 
-Importing this module registers them. Gymnasium imports it if an id says so:
-
-envs = gymnasium.make_vec("cassie_mjx.envs.gymnasium_env:CassieMJX/Walk-v0", num_envs=64, speed="1x")
+envs = gymnasium.make_vec("CassieMJX/Walk-v0", num_envs=64, speed="1x")
 """
 
 from collections.abc import Iterable
@@ -27,7 +25,6 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-ID = "CassieMJX/Walk-v0"
 WIDTH, HEIGHT = 640, 480
 """Of frames, pixels."""
 
@@ -222,6 +219,3 @@ def _masked(metrics: dict[str, Any], mask: np.ndarray) -> Infos:
     """Metrics where `mask` is, [B], each with the mask beside it, as Gymnasium has infos of vectors."""
     values = {name: np.where(mask, np.asarray(metric, float), 0.0) for name, metric in metrics.items()}
     return values | {f"_{name}": mask.copy() for name in metrics}
-
-
-gymnasium.register(ID, entry_point=f"{__name__}:GymnasiumEnv", vector_entry_point=f"{__name__}:GymnasiumVectorEnv")
