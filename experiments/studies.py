@@ -31,12 +31,24 @@ class Variant:
         return ENGINE | chosen | {"seed": str(seed)}
 
 
-ENGINE = {"physics": "native", "physics_hz": "500"}
+ENGINE = {"physics": "native", "physics_hz": "500", "evaluate_every": "20"}
 """What every run is trained on unless its variant says otherwise, so that what is compared differs in nothing else."""
+
+FORMER = {
+    "ppo.num_steps": "32",
+    "ppo.updates_per_iteration": "40",
+    "ppo.iterations": "300",
+    "ppo.final_action_std": "0.1",
+    "ppo.actor_schedule": "constant",
+    "walk.symmetric": "false",
+    "walk.start_velocity_mps": "0.5",
+}
+"""The defaults until November 2026. Start velocities were drawn evenly then: these runs cannot be repeated exactly."""
 
 ACTOR, CRITIC = "ppo.actor_learning_rate", "ppo.critic_learning_rate"
 PAPER = {
     "ppo": "paper",
+    "walk.symmetric": "false",
     "walk.reward": "plain",
     "walk.min_reward": "0.6",
     "walk.max_position_error_m": "null",
@@ -45,7 +57,8 @@ PAPER = {
     CRITIC: "1e-2",
 }
 DEFAULT = Variant("1x", {})
-ROBUST = {"walk": "robust", "ppo.final_action_std": "0.05"}
+FORMER_DEFAULT = Variant("1x-former", FORMER)
+ROBUST = FORMER | {"walk": "robust", "walk.symmetric": "true", "ppo.final_action_std": "0.05"}
 GENTLER = {
     "walk.scenario.push_n": "250",
     "walk.scenario.push_backward": "0.7",
@@ -53,7 +66,7 @@ GENTLER = {
     "ppo.iterations": "750",
 }
 ROBUST_FIRST = Variant("1x-robust-first", ROBUST | {"init": "1x", "ppo.iterations": "600"})
-OTHER_SPEEDS = tuple(Variant(speed, {"speed": speed, "init": "1x"}) for speed in ("0x", "2x", "3x", "4x"))
+OTHER_SPEEDS = tuple(Variant(speed, {"speed": speed}) for speed in ("0x", "2x", "3x", "4x"))
 
 LATER = {"init": None, "ppo.privileged_critic": False, "ppo.final_action_std": None}
 LATER |= {
@@ -70,17 +83,32 @@ LATER |= {f"walk.scenario.{name}": value for name, value in vars(ScenarioConfig(
 """How runs were trained whose configuration does not name these yet."""
 
 STUDIES = {
-    "walking": (replace(DEFAULT, seeds=(0, 1, 2, 3, 4)),),
+    "walking": (replace(DEFAULT, seeds=tuple(range(10))),),
     # `make train` on a quiet machine, and runs=runs: seconds that can be compared with those of other machines.
     "make_train": (replace(DEFAULT, seeds=(0,)),),
-    "starts": (DEFAULT, Variant("1x-exact-starts", {"walk.start_velocity_mps": "0"})),
-    "reward": (DEFAULT, Variant("1x-plain", {"walk.reward": "plain"})),
-    "rate": (DEFAULT, Variant("1x-1000hz", {"physics_hz": "1000"}, (0,))),
+    # What the default was changed by, one thing at a time.
+    "defaults": (
+        FORMER_DEFAULT,
+        Variant("1x-mirrored", FORMER | {"walk.symmetric": "true"}),
+        Variant(
+            "1x-short-rollouts",
+            FORMER
+            | {
+                "walk.symmetric": "true",
+                "ppo.num_steps": "8",
+                "ppo.updates_per_iteration": "10",
+                "ppo.iterations": "1200",
+            },
+        ),
+        Variant("1x-near-starts", {"walk.start_velocity_mps": "0.5"}),
+        replace(DEFAULT, seeds=(0, 1, 2)),
+    ),
+    "starts": (replace(DEFAULT, seeds=(0, 1, 2)), Variant("1x-exact-starts", {"walk.start_velocity_mps": "0"})),
+    "reward": (FORMER_DEFAULT, Variant("1x-plain", FORMER | {"walk.reward": "plain"})),
+    "rate": (FORMER_DEFAULT, Variant("1x-1000hz", FORMER | {"physics_hz": "1000"}, (0,))),
     "learning_speeds": (
         *OTHER_SPEEDS,
-        # From scratch: the input statistics of 1x would clip a reference velocity beyond 1.3 m/s.
-        Variant("any-first", {"speed": "any", "ppo.iterations": "600"}, (0,)),
-        Variant("any", {"speed": "any", "init": "{runs}/any-first-seed{seed}"}, (0,)),
+        Variant("any", {"speed": "any", "ppo.iterations": "3600"}),
     ),
     "robust": (
         ROBUST_FIRST,
@@ -90,7 +118,6 @@ STUDIES = {
         ROBUST_FIRST,
         Variant("1x-robust-first-both-steps", dict(ROBUST_FIRST.settings) | {"walk.symmetric": "false"}),
     ),
-    "warm_start": (OTHER_SPEEDS[-1], Variant("4x-from-scratch", {"speed": "4x"}, (0,))),
     # What the paper prints, a tenth of its step sizes, and readings that differ from the printed one in a single point.
     "paper": (
         Variant("paper-printed", PAPER),

@@ -31,14 +31,14 @@ class PPOConfig(Checked):
     num_robots: Annotated[int, Range(1, 1_000_000)] = 128
     """Robots that step side by side, over all devices."""
 
-    num_steps: Annotated[int, Range(1, 100_000)] = 32
-    """Control steps that each robot takes in one iteration."""
+    num_steps: Annotated[int, Range(1, 100_000)] = 8
+    """Control steps that each robot takes in one iteration: few, so that the policy improves often."""
 
-    iterations: Annotated[int, Range(1, 10_000_000)] = 300
+    iterations: Annotated[int, Range(1, 10_000_000)] = 1200
     """Iterations (collect, then update) of a whole run; linear schedules and the narrowing of the noise end here."""
 
-    updates_per_iteration: Annotated[int, Range(1, 1_000_000)] = 40
-    """Minibatch updates in one iteration; 40 updates of 512 samples out of 128 x 32 are 5 epochs."""
+    updates_per_iteration: Annotated[int, Range(1, 1_000_000)] = 10
+    """Minibatch updates in one iteration; 10 updates of 512 samples out of 128 x 8 are 5 epochs."""
 
     minibatch_size: Annotated[int, Range(1, 1_000_000_000)] = 512
     """Samples in one minibatch, over all devices."""
@@ -58,7 +58,7 @@ class PPOConfig(Checked):
     action_std: Annotated[float, Range(1e-4, 10)] = 0.134
     """Standard deviation of the exploration noise on every action at iteration 0, rad (*paper*: covariance 0.018)."""
 
-    final_action_std: Annotated[float, Range(1e-4, 10)] | None = 0.1
+    final_action_std: Annotated[float, Range(1e-4, 10)] | None = 0.05
     """What it has become, linearly, by the last iteration, rad; null for what it was.
 
     Noise slows robots down: policies trained with noise walk too fast without it.
@@ -79,10 +79,10 @@ class PPOConfig(Checked):
     actor_learning_rate: Annotated[float, Range(1e-9, 1)] = 3e-4
     """Adam step size of the actor at iteration 0."""
 
-    actor_schedule: str = "constant"
+    actor_schedule: str = "linear"
     """How the actor's step size and `target_kl` fall over iterations: constant, linear or exponential.
 
-    Constant, for as the noise narrows, the mean moves less for the same divergence.
+    Linear, for what an iteration learns from so few samples is noise in the end.
     """
 
     critic_learning_rate: Annotated[float, Range(1e-9, 1)] = 1e-3
@@ -153,7 +153,15 @@ PPO_PRESETS = {
     ),
     # Two CPU cores: enough robots to fill the threads, so few steps that the policy that collects is never old.
     "parallel": PPOConfig(),
-    # One accelerator: 16 times the batch and the minibatch of `parallel`, hence as many updates an iteration.
-    "massive": PPOConfig(num_robots=4096, num_steps=16, iterations=300, minibatch_size=8192),
+    # One accelerator: 64 times the batch of `parallel`, so a policy that need not improve so often.
+    "massive": PPOConfig(
+        num_robots=4096,
+        num_steps=16,
+        iterations=300,
+        updates_per_iteration=40,
+        minibatch_size=8192,
+        final_action_std=0.1,
+        actor_schedule="constant",
+    ),
 }
 """The learner's presets by name."""
