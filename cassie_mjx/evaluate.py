@@ -15,7 +15,7 @@ from rich.table import Table
 
 from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
-from cassie_mjx.evaluation.suites import ALL, SUITES, EvalSetup
+from cassie_mjx.evaluation.suites import ALL, PHASES, SUITES, EvalSetup
 from cassie_mjx.physics.make import ENGINES
 
 
@@ -56,7 +56,7 @@ def main(config: EvaluateConfig) -> None:
         rows += found
         if result.cells is not None:
             cells[suite] = result.cells
-    provenance = cli.provenance(**asdict(config), agent=dict(agent.provenance), seconds=seconds)
+    provenance = cli.provenance(**asdict(config), phases=PHASES, agent=dict(agent.provenance), seconds=seconds)
     cli.write_result(out, {"rows": rows, **cells, "provenance": provenance})
 
 

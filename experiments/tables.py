@@ -85,7 +85,8 @@ def beside_the_paper(folder: Path) -> Table:
     ]
     notes = [f"By {EVALUATE} with the row's argument. {RETURNS}{_best(measured)}"]
     notes += [f"Not measured yet: {'; '.join(missing)}."] if missing else []
-    return Table(header, rows, [*notes, sources([r for _, found in measured for r in found])])
+    results = [r for _, found in measured for r in found]
+    return Table(header, rows, [*notes, *_former_phases(results), sources(results)])
 
 
 SUMMARY = (
@@ -127,7 +128,14 @@ def beside_each_other(folder: Path, patterns: Mapping[str, str]) -> Table | None
     told = " and, for `any`, the column's" if any(" speed=" in agent for agent, _ in found) else ""
     note = f"By {EVALUATE} with the row's argument{told}."
     header = ("MuJoCo C, 2 kHz", *_headings(found), "command")
-    return Table(header, rows, [note, sources([r for _, results in found for r in results])])
+    results = [r for _, of_agent in found for r in of_agent]
+    return Table(header, rows, [note, *_former_phases(results), sources(results)])
+
+
+def _former_phases(results: Sequence[Result]) -> list[str]:
+    """A note about results that were measured from the phases that training measures from, if there are any."""
+    former = [f"`{result.name}`" for result in results if "phases" not in result.provenance]
+    return [f"From the phases k/10 and k/8, by which policies were chosen: {', '.join(former)}."] if former else []
 
 
 def _cells(measured: Sequence[tuple[str, list[Result]]]) -> dict[Row, list[str]]:

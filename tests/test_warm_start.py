@@ -37,7 +37,7 @@ def assert_same_state(one, other):
 @pytest.fixture(scope="module")
 def first(tmp_path_factory):
     folder = tmp_path_factory.mktemp("first")
-    session(folder).train()
+    session(folder, walk=WalkConfig(symmetric=False)).train()
     return folder
 
 

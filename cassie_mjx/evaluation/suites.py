@@ -24,6 +24,8 @@ from cassie_mjx.physics.types import Physics
 from cassie_mjx.robot.model import MJX_TESTING, ModelConfig
 
 WALK_S, LONG_WALK_S = 10.0, 60.0
+PHASES = "(k + 1/2)/n"
+"""Where trials begin, as results have it; those of before this was written begin at k/n."""
 WALK_PHASES = (np.arange(10) + 0.5) / 10
 """Phases of the stride at which walks begin: others than training measures from (`returns.CHOOSING_PHASES`)."""
 LIMIT_PHASES = (np.arange(8) + 0.5) / 8
