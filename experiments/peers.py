@@ -12,7 +12,7 @@ repeated, so the same command completes what was stopped. Samples do not depend 
 do: compare those only if it was quiet.
 """
 
-import importlib
+import importlib.util
 import json
 import subprocess
 import sys
@@ -97,13 +97,11 @@ def check_installed(learners: Collection[str]) -> None:
     """Raise ValueError if a learner needs a package that is not here."""
     for name in learners:
         for package in LEARNERS[name].packages:
-            try:
-                importlib.import_module(package.replace("-", "_"))
-            except ImportError as error:
+            if importlib.util.find_spec(package.replace("-", "_")) is None:
                 raise ValueError(
                     f"learners={name} needs the package {package}; pip install -c constraints.txt -e '.[peers]', or "
                     f"leave {name} out of learners."
-                ) from error
+                )
 
 
 def physics_hz(learner: Learner) -> int:
@@ -131,24 +129,31 @@ def command(name: str, seed: int, folder: Path, config: PeersConfig) -> list[str
 
 
 def read_curve(name: str, folder: Path, config: PeersConfig) -> list[dict[str, float]]:
-    """What a run has measured so far within its budget: samples, train_s and return_plain."""
+    """What a run has measured so far, budget or not: samples, train_s and return_plain."""
     path, ppo = folder / "metrics.jsonl", trained(config).ppo
     ours = LEARNERS[name].module == "cassie_mjx.train"
     before = -(-ppo.normalizer_samples // ppo.num_samples) * ppo.num_samples if ours else 0
-    curve = []
-    for text in path.read_text().split("\n")[:-1] if path.exists() else ():
-        line = json.loads(text)
-        point = {"samples": int(line["train/samples"]) + before, "train_s": line["time/train_s"]}
-        if point["samples"] <= config.samples and point["train_s"] <= config.seconds:
-            curve.append(point | {"return_plain": line["eval/return_plain"]})
-    return curve
+    # A line that is being written has no end yet.
+    lines = map(json.loads, path.read_text().split("\n")[:-1] if path.exists() else ())
+    return [
+        {
+            "samples": int(line["train/samples"]) + before,
+            "train_s": line["time/train_s"],
+            "return_plain": line["eval/return_plain"],
+        }
+        for line in lines
+    ]
 
 
-def is_over(name: str, folder: Path, config: PeersConfig) -> bool:
+def within(curve: list[dict[str, float]], config: PeersConfig) -> list[dict[str, float]]:
+    """What of a curve lies within the budget."""
+    return [point for point in curve if point["samples"] <= config.samples and point["train_s"] <= config.seconds]
+
+
+def is_over(curve: list[dict[str, float]], config: PeersConfig) -> bool:
     """Whether a run has reached all goals, or has spent its budget."""
-    unbounded = PeersConfig(train=config.train, samples=10**12, seconds=10**7)
-    curve, whole = read_curve(name, folder, config), read_curve(name, folder, unbounded)
-    return len(whole) > len(curve) or any(point["return_plain"] >= max(GOALS) for point in curve)
+    counted = within(curve, config)
+    return len(counted) < len(curve) or any(point["return_plain"] >= max(GOALS) for point in counted)
 
 
 def learn(name: str, seed: int, config: PeersConfig) -> dict[str, Any]:
@@ -166,11 +171,13 @@ def learn(name: str, seed: int, config: PeersConfig) -> dict[str, Any]:
             raise ValueError(f"{finished} was made with {run.get('settings')}, not {wanted}; name another runs=.")
         return run
     folder.parent.mkdir(parents=True, exist_ok=True)
-    _follow(command(name, seed, folder, config), lambda: is_over(name, folder, config))
+    _follow(command(name, seed, folder, config), lambda: is_over(read_curve(name, folder, config), config))
     packages = {package: version_of(package) for package in LEARNERS[name].packages}
-    run = {"learner": name, "seed": seed, "curve": read_curve(name, folder, config), "settings": wanted}
-    cli.write_json(finished, run | {"provenance": cli.provenance(packages=packages)})
-    return cli.read_json(finished, "")
+    curve = within(read_curve(name, folder, config), config)
+    run = {"learner": name, "seed": seed, "curve": curve, "settings": wanted}
+    run |= {"provenance": cli.provenance(packages=packages)}
+    cli.write_json(finished, run)
+    return run
 
 
 def _follow(arguments: list[str], is_over: Callable[[], bool]) -> None:

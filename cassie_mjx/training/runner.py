@@ -274,6 +274,12 @@ class Runner:
         self.saved = self.done
 
 
+def share_cores() -> None:
+    """On few cores, leave them to the physics' threads: XLA reads this when it makes its first array."""
+    if cores() <= FEW_CORES:
+        os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+
+
 def train_policy(config: TrainConfig) -> Path:
     """Train one policy; what `python -m cassie_mjx.train` does. Returns the run's directory.
 
@@ -282,9 +288,7 @@ def train_policy(config: TrainConfig) -> Path:
         is written then. Or the learner's numbers are not finite any more.
       OSError: the directory cannot be written.
     """
-    if cores() <= FEW_CORES:
-        # XLA's threads would take time from the physics' threads; it reads this when it makes its first array.
-        os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+    share_cores()
     if config.distributed:
         devices.join()
     config, console = resolve_config(config), Console(quiet=not devices.is_first())

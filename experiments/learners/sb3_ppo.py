@@ -16,6 +16,7 @@ from torch import nn  # pyright: ignore[reportMissingImports]
 from cassie_mjx import cli
 from cassie_mjx.control.network import Network, normalize, perceptron
 from cassie_mjx.envs.gymnasium_env import GymnasiumVectorEnv
+from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
 from experiments.learners.meter import Meter, PeerConfig
 
@@ -51,7 +52,7 @@ class Robots(VecEnv):
         """Make `robots` robots on MuJoCo C at `physics_hz`; what they are put through comes from `seed`."""
         self._robots = GymnasiumVectorEnv(robots, physics_hz=physics_hz)
         self._seed: int | None = seed
-        self._actions = np.zeros((robots, *self._robots.single_action_space.shape))  # pyright: ignore[reportGeneralTypeIssues]
+        self._actions = np.zeros((robots, cassie.NU))
         super().__init__(robots, self._robots.single_observation_space, self._robots.single_action_space)
 
     def reset(self) -> np.ndarray:
