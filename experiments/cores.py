@@ -50,8 +50,10 @@ class CoresConfig(Checked):
     """Whether to replace a file that is no result of this experiment."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError for no number, one that this machine does not have, or what training would not take."""
+        """Raise ValueError for a number that this machine does not have, or what training would not take."""
         super().__post_init__()
+        if not hasattr(os, "sched_setaffinity"):
+            raise ValueError("This system cannot keep a process to some of its cores; measure on Linux.")
         if not self.measure or max(self.measure) > cores():
             raise ValueError(f"measure={shown(self.measure)} must be numbers of cores, up to the {cores()} here.")
         trained(self)
