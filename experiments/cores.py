@@ -50,13 +50,19 @@ class CoresConfig(Checked):
     """Whether to replace a file that is no result of this experiment."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError for a number that this machine does not have, or what training would not take."""
+        """Raise ValueError for no number of cores, or what training would not take."""
         super().__post_init__()
-        if not hasattr(os, "sched_setaffinity"):
-            raise ValueError("This system cannot keep a process to some of its cores; measure on Linux.")
-        if not self.measure or max(self.measure) > cores():
-            raise ValueError(f"measure={shown(self.measure)} must be numbers of cores, up to the {cores()} here.")
+        if not self.measure:
+            raise ValueError("measure is empty; name at least one number of cores, such as measure=1.")
         trained(self)
+
+
+def check_cores(config: CoresConfig) -> None:
+    """Raise ValueError unless this machine can be measured with as many cores."""
+    if not hasattr(os, "sched_setaffinity"):
+        raise ValueError("This system cannot keep a process to some of its cores; measure on Linux.")
+    if max(config.measure) > cores():
+        raise ValueError(f"measure={shown(config.measure)} is more than the {cores()} cores that can be used here.")
 
 
 def trained(config: CoresConfig) -> TrainConfig:
@@ -114,6 +120,7 @@ def table(rows: list[dict[str, Any]]) -> Table:
 def main(config: CoresConfig) -> None:
     """Measure, compute, print and write."""
     out = cli.check_output(config.out, cli.RESULT, config.overwrite)
+    check_cores(config)
     rows = []
     for count in config.measure:
         # A process of its own, for JAX takes its threads once.
