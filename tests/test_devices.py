@@ -31,7 +31,7 @@ from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model
 from cassie_mjx.training import checkpoint, devices, run_directory
 from cassie_mjx.training.config import TrainConfig, resolve_config
 from cassie_mjx.training.runner import Runner
-from cassie_mjx.training.trainer import Trainer
+from cassie_mjx.training.trainer import Trainer, iterate, learn
 
 ROOT = Path(__file__).parents[1]
 
@@ -142,7 +142,7 @@ def with_two_devices_a_point_robot_is_trained(distributed):
     key = jax.random.key(2)
     _, lived = collect_on_all(placed.policy, start, key)
     whole = jax.tree.map(np.asarray, devices.gather(lived))
-    for shard, (robots, own_key) in zip(np.split(whole.action, 2, axis=1), devices.shares(start, key), strict=True):
+    for shard, (robots, own_key) in zip(np.split(whole.action, 2, axis=1), devices.shares(start, key, 2), strict=True):
         assert np.array_equal(robots.observation, share)
         _, alone = collect(state.policy, robots, own_key)
         np.testing.assert_allclose(shard, alone.action, rtol=1e-5)
@@ -242,8 +242,14 @@ def with_two_processes_everything_is_shared(folder):
     assert restored["robots"].sharding == placed["robots"].sharding
     jax.tree.map(np.testing.assert_array_equal, devices.gather(restored), whole)
 
-    with pytest.raises(ValueError, match="physics=native runs in one process"):
-        resolve_config(TrainConfig(physics="native"))
+    own = {"position": np.array([[me + 1 / 3, np.pi]]), "history": np.zeros((1, 0, 67)), "moving": np.array([me == 1])}
+    whole = devices.gather(own)
+    assert {name: rows.dtype for name, rows in whole.items()} == {name: rows.dtype for name, rows in own.items()}
+    assert np.array_equal(whole["position"], [[1 / 3, np.pi], [4 / 3, np.pi]])
+    assert (whole["history"].shape, whole["moving"].tolist()) == ((2, 0, 67), [False, True])
+    jax.tree.map(np.testing.assert_array_equal, devices.share_of_host(whole), own)
+    with pytest.raises(ValueError, match="num_robots is 9; it must be a multiple of the 2 devices."):
+        resolve_config(TrainConfig(physics="native", ppo=replace(CONFIG, num_robots=9)))
     config, private = resolve_config(TrainConfig(physics="mjx", resume=True)), Path(folder) / str(me)
     for claimed in (Path(folder) / "shared", private):
         claim = run_directory.claim(claimed, config, {"process": me})
@@ -262,6 +268,57 @@ def test_two_processes_share_arrays_and_a_directory(tmp_path):
     finish(two_processes(*call(with_two_processes_everything_is_shared, tmp_path)))
 
 
+ON_THE_HOST = TrainConfig(physics="native", physics_hz=500, ppo=CONFIG)
+
+
+def with_two_processes_cassie_learns_on_the_host(file):
+    devices.join()
+    trainer = Trainer(resolve_config(ON_THE_HOST), load_motion("walk"))
+    run = trainer.start()
+    assert run.env.physics.qpos.shape == (4, 35)
+    run, metrics = trainer.iterate(trainer.gather_statistics(run))
+    assert_same_everywhere((run.learner, run.key))
+    lost = run.env.physics.qpos.copy()
+    lost[1] = np.nan if jax.process_index() else lost[1]
+    found = trainer.replay(run._replace(env=replace(run.env, physics=replace(run.env.physics, qpos=lost))))
+    assert found is not None
+    assert np.isnan(found["qpos"]).all()
+    placed = trainer.place(devices.gather(run))
+    jax.tree.map(np.testing.assert_array_equal, (placed.env, own(placed.learner)), (run.env, own(run.learner)))
+    whole = devices.gather(run)
+    if devices.is_first():
+        np.savez(file, *jax.tree.leaves((whole, jax.device_get(metrics))))
+
+
+def own(tree):
+    return jax.device_get(devices.own_copy(tree))
+
+
+@pytest.mark.slow
+def test_two_processes_on_the_host_learn_as_one_with_all_robots(tmp_path):
+    """The one process draws what happens to each half of its robots from the key that a process has for its half."""
+    trainer = Trainer(resolve_config(ON_THE_HOST), load_motion("walk"))
+    collect_all = trainer.collect
+
+    def collect(policy, env_state, key):
+        halves = [collect_all(policy, *each) for each in devices.shares(env_state, key, 2)]
+        (first, one), (second, other) = halves
+        joined = jax.tree.map(lambda *rows: np.concatenate(rows), first, second)
+        return joined, jax.tree.map(lambda *rows: np.concatenate(rows, axis=1), one, other)
+
+    trainer.collect = collect
+    started = trainer.gather_statistics(trainer.start())
+    alone = iterate(collect, partial(learn, partial(learner.update, CONFIG)), started)
+    finish(two_processes(*call(with_two_processes_cassie_learns_on_the_host, tmp_path / "run.npz")))
+    with np.load(tmp_path / "run.npz") as together:
+        pairs = list(zip(jax.tree.leaves(jax.device_get(alone)), together.values(), strict=True))
+    for ours, theirs in pairs:
+        np.testing.assert_allclose(theirs, ours, rtol=1e-4, atol=1e-5)
+    # What learning changes by is far more than that.
+    before, after = (jax.tree.leaves(run.learner.policy.actor) for run in (started, alone[0]))
+    assert max(np.abs(a - b).max() for a, b in zip(before, after, strict=True)) > 3e-4
+
+
 @pytest.mark.parametrize("sizes", [{"num_robots": 9}, {"minibatch_size": 31}])
 def test_what_does_not_divide_among_the_devices_is_refused_before_anything_is_compiled(monkeypatch, sizes):
     monkeypatch.setattr(jax, "device_count", lambda: 2)
@@ -269,6 +326,9 @@ def test_what_does_not_divide_among_the_devices_is_refused_before_anything_is_co
     with pytest.raises(ValueError, match=f"{name} is {value}; it must be a multiple of the 2 devices."):
         resolve_config(TrainConfig(physics="mjx", ppo=replace(CONFIG, **sizes)))
     assert resolve_config(TrainConfig(physics="native", ppo=replace(CONFIG, **sizes))).physics == "native"
+    monkeypatch.setattr(jax, "process_count", lambda: 2)
+    with pytest.raises(ValueError, match=f"{name} is {value}; it must be a multiple of the 2 devices."):
+        resolve_config(TrainConfig(physics="native", ppo=replace(CONFIG, **sizes)))
 
 
 def test_the_command_says_so_too(tmp_path):
@@ -320,10 +380,16 @@ def test_cassie_is_trained_on_two_devices():
     finish(two_devices(*call(with_two_devices_cassie_is_trained)))
 
 
-def train(folder, *arguments):
+def train(folder, physics, *arguments):
     sizes = {"num_robots": 2, "num_steps": 4, "minibatch_size": 8, "iterations": 6, "updates_per_iteration": 2}
     learning = [f"ppo.{name}={value}" for name, value in sizes.items()]
-    run = ["physics=mjx", "physics_hz=500", "evaluate_every=1", "ppo.hidden_sizes=[16]", "ppo.normalizer_samples=8"]
+    run = [
+        f"physics={physics}",
+        "physics_hz=500",
+        "evaluate_every=1",
+        "ppo.hidden_sizes=[16]",
+        "ppo.normalizer_samples=8",
+    ]
     return "-m", "cassie_mjx.train", "distributed=true", *run, *learning, f"run_dir={folder}", *arguments
 
 
@@ -332,14 +398,15 @@ def last_state(folder):
 
 
 @pytest.mark.slow
-def test_two_processes_train_stop_together_and_go_on(tmp_path):
+@pytest.mark.parametrize("physics", ["mjx", "native"])
+def test_two_processes_train_stop_together_and_go_on(tmp_path, physics):
     unbroken, broken = tmp_path / "unbroken", tmp_path / "broken"
-    spoken, silent = finish(two_processes(*train(unbroken)))
+    spoken, silent = finish(two_processes(*train(unbroken, physics)))
     assert "6 iterations of 8 samples" in spoken
     assert "Done: a return of" in spoken
     assert "Done" not in silent
 
-    first, second = two_processes(*train(broken, "resume=true"))
+    first, second = two_processes(*train(broken, physics, "resume=true"))
     while not ((broken / "metrics.jsonl").exists() and (broken / "metrics.jsonl").read_text()):
         assert first.poll() is second.poll() is None
         time.sleep(0.1)
@@ -349,7 +416,7 @@ def test_two_processes_train_stop_together_and_go_on(tmp_path):
     assert "Stopped and saved after iteration" in outputs[0][0]
     assert "iteration 6/6" not in outputs[0][0]
 
-    assert "Resuming" in finish(two_processes(*train(broken, "resume=true")))[0]
+    assert "Resuming" in finish(two_processes(*train(broken, physics, "resume=true")))[0]
     ours, theirs = last_state(broken), last_state(unbroken)
     assert ours.keys() == theirs.keys()
     assert all(np.array_equal(ours[name], theirs[name]) for name in ours)

@@ -1,6 +1,7 @@
 """MuJoCo C: a batch of robots on all cores; every headline figure is measured on it, at 2 kHz."""
 
 import copy
+import os
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
@@ -19,6 +20,11 @@ MODEL_PARAMETERS = ("ground", "kd_scale")
 """Fields of a `Scenario` that make another compiled model; robots with the same values share one."""
 
 
+def cores() -> int:
+    """Cores that this process may use: what the machine has, or what a scheduler or `taskset` leaves it of them."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 class NativePhysics:
     """Steps robots with `mujoco.batch` on a pool of threads; implements `Physics` on NumPy float64 arrays.
 
@@ -35,11 +41,11 @@ class NativePhysics:
         Args:
           model: from `robot.model.load_model`; only a terrain scene has a `Scenario.ground` that is not flat.
           max_delay: longest delay that a scenario will ask for, physics steps; 0 for the faster path.
-          threads: size of the pool; 0 for all cores.
+          threads: size of the pool; 0 for all `cores`.
         """
         self.model = model
         self.max_delay = max_delay
-        self._threads = threads
+        self._threads = threads or cores()
         self._terrain = model.nhfield > 0
         self._models: dict[tuple[float, ...], mujoco.MjModel] = {}
         self._batches: dict[int, _Pool] = {}

@@ -89,7 +89,7 @@ class TrainConfig(Checked):
     resume: bool = False
     """Whether to go on with the run that `run_dir` holds, if it holds one."""
     distributed: bool = False
-    """Whether this is one of several processes of a cluster that train together, on MJX."""
+    """Whether this is one of several processes, on one machine or many, that train together."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for a value out of range."""
@@ -118,15 +118,11 @@ def resolve_config(config: TrainConfig) -> TrainConfig:
     """The configuration with nothing left to choose: engine, rate and directory.
 
     Raises:
-      ValueError: the engine cannot use several processes, the sizes do not divide among the devices, or the memory is
-        not enough.
+      ValueError: the sizes do not divide among the devices or processes, or the memory is not enough.
     """
     accelerated = config.physics == "auto" and jax.default_backend() != "cpu"
     physics = ("mjx" if accelerated else "native") if config.physics == "auto" else config.physics
-    if physics == "mjx":
-        learner.check_devices(config.ppo, jax.device_count())
-    elif jax.process_count() > 1:
-        raise ValueError("physics=native runs in one process; choose physics=mjx to train with several.")
+    learner.check_devices(config.ppo, jax.device_count() if physics == "mjx" else jax.process_count())
     physics_hz = config.physics_hz or ENGINES[physics].training.physics_hz
     check_installed(config.log)
     if config.video_every:

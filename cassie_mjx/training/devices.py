@@ -1,7 +1,8 @@
 """Data parallelism: the robots split over all devices of all hosts, the learner the same on each of them.
 
 With several hosts, each runs the same program in a process of its own on arrays that span them all. Every process must
-reach the functions below that say so; the first process alone writes files and speaks.
+reach the functions below that say so; the first process alone writes files and speaks. On MuJoCo C robots are arrays of
+the host: each process has a share of its own, and one device to learn from it.
 """
 
 from collections.abc import Callable
@@ -58,6 +59,11 @@ def same_everywhere() -> NamedSharding:
     return NamedSharding(_mesh(), _SAME)
 
 
+def same_on_hosts() -> NamedSharding:
+    """Where arrays belong that every process has a copy of, to learn from robots on its host."""
+    return NamedSharding(_one_a_process(), _SAME)
+
+
 def split_by_robot() -> NamedSharding:
     """Where arrays belong whose first axis counts robots."""
     return NamedSharding(_mesh(), _ROBOTS)
@@ -81,10 +87,40 @@ def on_all(collect: Collect, update: Update) -> tuple[Collect, Update]:
     )
 
 
-def shares(env_state: T, key: Key[Array, ""]) -> list[tuple[T, Key[Array, ""]]]:
-    """The robots and the key of each device in `on_all`, for this process alone; every process must call it."""
-    count, whole = jax.device_count(), jax.tree.map(np.asarray, gather(env_state))
-    return [(jax.tree.map(partial(_share, count, i), whole), jax.random.fold_in(key, i)) for i in range(count)]
+def on_hosts(collect: Collect, update: Update) -> tuple[Collect, Update]:
+    """Both halves of an iteration in all processes at once, each stepping its share of the robots on its host.
+
+    Args:
+      collect: as in `on_all`, but on the host; each process gets a key of its own.
+      update: as in `on_all`.
+    """
+    mesh = _one_a_process()
+    everyones = partial(jax.make_array_from_process_local_data, NamedSharding(mesh, _STEPS_AND_ROBOTS))
+
+    def collect_share(policy: Policy, env_state: Any, key: Key[Array, ""]) -> tuple[Any, Rollout]:
+        own_key = jax.random.wrap_key_data(own_copy(jax.random.key_data(key)))
+        env_state, lived = collect(own_copy(policy), env_state, jax.random.fold_in(own_key, jax.process_index()))
+        return env_state, jax.tree.map(everyones, lived)
+
+    specs: dict[str, Any] = {"in_specs": (_SAME, _STEPS_AND_ROBOTS, _SAME), "out_specs": _SAME, "check_vma": False}
+    return collect_share, jax.shard_map(partial(update, axis_name=AXIS), mesh=mesh, **specs)
+
+
+def shares(env_state: T, key: Key[Array, ""], count: int) -> list[tuple[T, Key[Array, ""]]]:
+    """The robots and the key of each of the `count` devices in `on_all`, or processes in `on_hosts`.
+
+    They are for this process alone; every process must call it.
+    """
+    whole = gather(env_state)
+    return [
+        (jax.tree.map(partial(_share, count, i), env_state, whole), jax.random.fold_in(key, i)) for i in range(count)
+    ]
+
+
+def share_of_host(env_state: T) -> T:
+    """This process' share of all robots on the host."""
+    split = partial(_share, jax.process_count(), jax.process_index())
+    return jax.tree.map(split, env_state, env_state)
 
 
 def own_copy(tree: T) -> T:
@@ -93,13 +129,34 @@ def own_copy(tree: T) -> T:
 
 
 def gather(tree: T) -> T:
-    """Arrays that every process can read to the end; every process must call it."""
-    return tree if jax.process_count() == 1 else multihost_utils.process_allgather(tree, tiled=True)
+    """Arrays that every process can read to the end; every process must call it.
+
+    What spans all processes is whole then, and so are robots of which each process has a share.
+    """
+    return tree if jax.process_count() == 1 else jax.tree.map(_gathered, tree)
 
 
-def _share(count: int, i: int, whole: np.ndarray) -> jax.Array:
-    return jnp.asarray(np.split(whole, count)[i])
+def _gathered(leaf: Any) -> np.ndarray:
+    if isinstance(leaf, jax.Array) and not leaf.is_fully_addressable:
+        return multihost_utils.process_allgather(leaf, tiled=True)
+    own = np.asarray(leaf)
+    if not own.size:
+        return np.concatenate([own] * jax.process_count())
+    # Byte by byte, for JAX would make float32 of float64.
+    whole = multihost_utils.process_allgather(np.frombuffer(own.tobytes(), np.uint8))
+    return np.frombuffer(whole.tobytes(), own.dtype).reshape(-1, *own.shape[1:])
+
+
+def _share(count: int, i: int, like: Any, whole: Any) -> Any:
+    """The `i`-th of `count` equal parts, an array of the library that `like` is of."""
+    rows = np.split(np.asarray(whole), count)[i]
+    return rows if isinstance(like, np.ndarray) else jnp.asarray(rows)
 
 
 def _mesh() -> Mesh:
     return jax.make_mesh((jax.device_count(),), (AXIS,), axis_types=(AxisType.Auto,))
+
+
+def _one_a_process() -> Mesh:
+    first = {device.process_index: device for device in reversed(jax.devices())}
+    return Mesh(np.array([first[i] for i in range(jax.process_count())]), (AXIS,), axis_types=(AxisType.Auto,))

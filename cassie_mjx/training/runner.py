@@ -25,6 +25,7 @@ from cassie_mjx.agents.policy_file import learner_policy, save_policy
 from cassie_mjx.evaluation.returns import walk_returns
 from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.physics.make import make_physics
+from cassie_mjx.physics.native import cores
 from cassie_mjx.ppo import networks
 from cassie_mjx.ppo.types import Policy
 from cassie_mjx.robot.model import ModelConfig
@@ -35,6 +36,9 @@ from cassie_mjx.training.films import film_policy
 from cassie_mjx.training.interruption import Interruption
 from cassie_mjx.training.loggers import Sinks, Terminal
 from cassie_mjx.training.trainer import IterationMetrics, RunState, Trainer, initial_policy, unlike
+
+FEW_CORES = 4
+"""Cores up to which the learner computes on one of them."""
 
 
 class Runner:
@@ -60,7 +64,7 @@ class Runner:
             IntervalStats(),
         )
         if restored:
-            self.run = checkpoint.restore_into(self.run, restored.arrays)
+            self.run = self.trainer.place(checkpoint.restore_into(devices.gather(self.run), restored.arrays))
             self.counters, self.interval = counters.from_record(restored.record)
             self.trainer.timer.seconds = self.interval.seconds
         self.saved = self.done if restored else None
@@ -281,6 +285,12 @@ class Runner:
         self.saved = self.done
 
 
+def share_cores() -> None:
+    """On few cores, leave them to the physics' threads: XLA reads this when it makes its first array."""
+    if cores() <= FEW_CORES:
+        os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+
+
 def train_policy(config: TrainConfig) -> Path:
     """Train one policy; what `python -m cassie_mjx.train` does. Returns the run's directory.
 
@@ -289,8 +299,7 @@ def train_policy(config: TrainConfig) -> Path:
         is written then. Or the learner's numbers are not finite any more.
       OSError: the directory cannot be written.
     """
-    # On few cores, XLA's threads take time from the physics' threads; it reads this when it makes its first array.
-    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+    share_cores()
     if config.distributed:
         devices.join()
     config, console = resolve_config(config), Console(quiet=not devices.is_first())

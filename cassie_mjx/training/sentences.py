@@ -15,7 +15,9 @@ CLIPPED_SHARE = 0.01
 def plan(config: TrainConfig) -> str:
     """What a resolved configuration trains."""
     origin = f" from the policy {config.init}" if config.init else ""
-    spread = f" on {jax.device_count()} devices" if config.physics == "mjx" and jax.device_count() > 1 else ""
+    mjx = config.physics == "mjx"
+    count = jax.device_count() if mjx else jax.process_count()
+    spread = f" {'on' if mjx else 'in'} {count} {'devices' if mjx else 'processes'}" if count > 1 else ""
     return (
         f"{config.speed} on {config.reference}{origin}, {config.ppo.num_robots} robots on {config.physics}{spread} "
         f"at {config.physics_hz} Hz, {config.ppo.iterations} iterations of {config.ppo.num_samples:,} samples."

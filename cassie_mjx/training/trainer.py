@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -20,12 +20,14 @@ from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.make import ENGINES, make_physics
 from cassie_mjx.physics.types import Physics
 from cassie_mjx.ppo import learner, networks, normalizer, rollout
-from cassie_mjx.ppo.types import LearnerState, Normalizer, Policy, UpdateMetrics
+from cassie_mjx.ppo.types import LearnerState, Normalizer, Policy, Rollout, UpdateMetrics
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.model import steps_per_control
 from cassie_mjx.training import devices, divergence
 from cassie_mjx.training.config import TrainConfig
 from cassie_mjx.training.loggers import Stopwatch
+
+T = TypeVar("T")
 
 
 class RunState(NamedTuple):
@@ -47,6 +49,10 @@ class IterationMetrics(NamedTuple):
     """Share of the samples in which each input of the networks was clipped, [O]."""
     finite: jax.Array
     """Whether all of `update`, and all that the learner now consists of, are finite numbers."""
+
+
+Learn = Callable[[LearnerState, Rollout, jax.Array], tuple[LearnerState, IterationMetrics]]
+"""`learn` with its update bound."""
 
 
 def initial_policy(config: TrainConfig) -> NumpyPolicy | None:
@@ -90,9 +96,9 @@ class Trainer:
     def __init__(self, config: TrainConfig, motion: ReferenceMotion) -> None:
         """Make the environment; on MuJoCo C, `timer` counts the time in `physics` and `learner`."""
         self.config, self.timer = config, Stopwatch()
-        # Where each part of a `RunState` belongs, if there is a choice.
-        self._places: Any = None
-        same: Any = None
+        # Where all that robots share belongs, if there is a choice, and in how many parts the robots are.
+        self._same: Any = None
+        self._parts = 1
         update = partial(learner.update, config.ppo)
         solver = ENGINES[config.physics].training
         model_hz = config.physics_hz or solver.physics_hz
@@ -103,17 +109,26 @@ class Trainer:
         if physics.traceable:
             self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots, speeds)
             self.collect = partial(rollout.collect, self.env.step, config.ppo)
-            if jax.device_count() > 1:
+            self._parts, places = jax.device_count(), None
+            if self._parts > 1:
                 self.collect, update = devices.on_all(self.collect, update)
-                same = devices.same_everywhere()
-                self._places = RunState(same, devices.split_by_robot(), same)
+                self._same = devices.same_everywhere()
+                places = RunState(self._same, devices.split_by_robot(), self._same)
             # One compiled call an iteration. Left to itself, XLA moves empty arrays, and the next call compiles again.
-            self.iterate = jax.jit(partial(iterate, self.collect, update), out_shardings=(self._places, same))
+            whole = partial(iterate, self.collect, partial(learn, update))
+            self.iterate = jax.jit(whole, out_shardings=(places, self._same))
         else:
             timed = _TimedPhysics(physics, self.timer)
             self.env = WalkEnv(timed, motion, config.walk, config.ppo.num_robots, speeds)
             self.collect = partial(rollout.collect_on_host, self.env.step, config.ppo)
-            self.iterate = partial(iterate, self.collect, self.timer.timed("learner", update))
+            self._parts = jax.process_count()
+            if self._parts > 1:
+                self.collect, update = devices.on_hosts(self.collect, update)
+                self._same = devices.same_on_hosts()
+                learned = self.timer.timed("learner", jax.jit(partial(learn, update), out_shardings=self._same))
+            else:
+                learned = partial(learn, self.timer.timed("learner", update))
+            self.iterate = partial(iterate, self.collect, learned)
 
     @property
     def physics_steps(self) -> int:
@@ -133,7 +148,7 @@ class Trainer:
             state = state._replace(policy=policy._replace(std=state.policy.std))
         if self.env.physics.traceable:
             env_state = jax.tree.map(jnp.asarray, env_state)
-        return self._placed(RunState(state, env_state, jax.random.key_data(run_key)))
+        return self.place(RunState(state, env_state, jax.random.key_data(run_key)))
 
     def gather_statistics(self, run: RunState) -> RunState:
         """The run with the input statistics of the states that a random policy visits, or the policy begun with.
@@ -146,10 +161,18 @@ class Trainer:
         visit = rollout.policy_statistics if begun_with else rollout.random_policy_statistics
         statistics = visit(self.collect, policy, run.env, statistics_key, samples)
         policy = networks.renormalize(policy, statistics) if begun_with else policy._replace(normalizer=statistics)
-        return self._placed(run._replace(learner=run.learner._replace(policy=policy)))
+        return run._replace(learner=self._shared(run.learner._replace(policy=policy)))
 
-    def _placed(self, run: RunState) -> RunState:
-        return run if self._places is None else jax.device_put(run, self._places)
+    def place(self, run: RunState) -> RunState:
+        """A run with all robots, each part of it where it belongs: of robots on the host, this process' share."""
+        env = run.env
+        if self._parts > 1:
+            split = partial(jax.device_put, device=devices.split_by_robot())
+            env = split(env) if self.env.physics.traceable else devices.share_of_host(env)
+        return RunState(self._shared(run.learner), env, self._shared(run.key))
+
+    def _shared(self, tree: T) -> T:
+        return tree if self._same is None else jax.device_put(tree, self._same)
 
     def replay(self, before: RunState) -> divergence.Divergence | None:
         """What led to the first divergence of the physics in the iteration that began with `before`.
@@ -158,7 +181,9 @@ class Trainer:
         """
         before = before._replace(learner=devices.own_copy(before.learner), key=devices.own_copy(before.key))
         collect_key, _ = iteration_keys(before)
-        shares = [(before.env, collect_key)] if self._places is None else devices.shares(before.env, collect_key)
+        shares = [(before.env, collect_key)]
+        if self._parts > 1:
+            shares = devices.shares(before.env, collect_key, self._parts)
         found = (divergence.replay(self.env, self.config.ppo, before.learner.policy, *share) for share in shares)
         return next(filter(None, found), None)
 
@@ -166,16 +191,22 @@ class Trainer:
         return jax.random.split(jax.random.key(self.config.seed), 4)
 
 
-def iterate(
-    collect: rollout.Collect, update: Callable[..., tuple[LearnerState, UpdateMetrics]], run: RunState
-) -> tuple[RunState, IterationMetrics]:
+def iterate(collect: rollout.Collect, learn: Learn, run: RunState) -> tuple[RunState, IterationMetrics]:
     """Collect experience with the present policy and learn from it."""
     collect_key, update_key = iteration_keys(run)
     env_state, experience = collect(run.learner.policy, run.env, collect_key)
-    state, metrics = update(run.learner, experience, update_key)
+    state, metrics = learn(run.learner, experience, update_key)
+    return RunState(state, env_state, run.key), metrics
+
+
+def learn(
+    update: devices.Update, state: LearnerState, experience: Rollout, key: jax.Array
+) -> tuple[LearnerState, IterationMetrics]:
+    """The learner after an update, and what the iteration measures."""
+    learned, metrics = update(state, experience, key)
     ends = {name: experience.metrics[name].sum() for name in Ends._fields}
-    clipped = _clipped_share(run.learner.policy.normalizer, experience.observation)
-    return RunState(state, env_state, run.key), IterationMetrics(metrics, ends, clipped, _all_finite((state, metrics)))
+    clipped = _clipped_share(state.policy.normalizer, experience.observation)
+    return learned, IterationMetrics(metrics, ends, clipped, _all_finite((learned, metrics)))
 
 
 @jax.jit

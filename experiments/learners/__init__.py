@@ -1,0 +1,1 @@
+"""Other libraries' learners on our task, each a command that `experiments.peers` runs."""
