@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar
 
 from cassie_mjx.configuration.values import Checked, Range, shown
 
-SCHEDULES = ("constant", "linear", "exponential")
+SCHEDULES = ("constant", "linear", "late", "exponential")
 
 
 MOST_LAYERS = 64
@@ -79,17 +79,18 @@ class PPOConfig(Checked):
     actor_learning_rate: Annotated[float, Range(1e-9, 1)] = 3e-4
     """Adam step size of the actor at iteration 0."""
 
-    actor_schedule: str = "linear"
-    """How the actor's step size and `target_kl` fall over iterations: constant, linear or exponential.
+    actor_schedule: str = "late"
+    """How the actor's step size and `target_kl` fall over iterations: not at all (constant), linearly from the beginning
+    (linear) or from the middle of the run on (late), or exponentially (exponential).
 
-    Linear, for what an iteration learns from so few samples is noise in the end.
+    Late, for fast speeds take half a run to walk at all, and what so few samples teach in the end is noise.
     """
 
     critic_learning_rate: Annotated[float, Range(1e-9, 1)] = 1e-3
     """Adam step size of the critic at iteration 0."""
 
     critic_schedule: str = "linear"
-    """How the critic's step size falls over iterations: constant, linear or exponential."""
+    """How the critic's step size falls over iterations: constant, linear, late or exponential."""
 
     learning_rate_decay: Annotated[float, Range(0.01, 1)] = 0.99
     """Factor an iteration of the exponential schedule (*paper*: 1 % an iteration)."""
