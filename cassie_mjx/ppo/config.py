@@ -80,8 +80,8 @@ class PPOConfig(Checked):
     """Adam step size of the actor at iteration 0."""
 
     actor_schedule: str = "late"
-    """How the actor's step size and `target_kl` fall over iterations: not at all (constant), linearly from the beginning
-    (linear) or from the middle of the run on (late), or exponentially (exponential).
+    """How the actor's step size and `target_kl` fall: not at all (constant), linearly over the run (linear), linearly
+    over its second half (late), or exponentially (exponential).
 
     Late, for fast speeds take half a run to walk at all, and what so few samples teach in the end is noise.
     """
