@@ -26,7 +26,7 @@ from cassie_mjx.evaluation.returns import walk_returns
 from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.physics.make import make_physics
 from cassie_mjx.physics.native import cores
-from cassie_mjx.ppo import networks
+from cassie_mjx.ppo import learner, networks
 from cassie_mjx.ppo.types import Policy
 from cassie_mjx.robot.model import ModelConfig
 from cassie_mjx.training import checkpoint, counters, devices, divergence, lock, run_directory, schedule, sentences
@@ -196,7 +196,7 @@ class Runner:
 
     def _returns(self) -> tuple[Policy, dict[str, float]]:
         """The present policy, and what it is worth."""
-        policy = devices.own_copy(self.run.learner.policy)
+        policy = devices.own_copy(learner.averaged_policy(self.run.learner))
         returns = walk_returns(self._agent(policy), self.eval_engine, self.speeds)
         self.counters.walked, self.counters.measurements = returns["steps"], self.counters.measurements + 1
         return policy, returns
