@@ -90,6 +90,9 @@ def on_all(collect: Collect, update: Update) -> tuple[Collect, Update]:
 def on_hosts(collect: Collect, update: Update) -> tuple[Collect, Update]:
     """Both halves of an iteration in all processes at once, each stepping its share of the robots on its host.
 
+    That is what one process does with all robots if it draws what happens to each share from the key of that share's
+    process.
+
     Args:
       collect: as in `on_all`, but on the host; each process gets a key of its own.
       update: as in `on_all`.
