@@ -101,7 +101,7 @@ def accelerations(
         torque = cassie.pd_torque(target, q[cassie.ACTIVE_QPOS], v[cassie.ACTIVE_QVEL])
         d = mjx.make_data(physics.model).replace(qpos=q, qvel=v)
         if with_bias:
-            return physics.dynamics(m, d, torque, jnp.zeros(3), jnp.zeros(())).qacc
+            return physics.dynamics(m, d, torque, jnp.zeros(3), jnp.zeros(()))[2].qacc
         applied = jnp.zeros(cassie.NV).at[cassie.ACTIVE_QVEL].set(torque)
         return mjx.forward(m, d.replace(qfrc_applied=applied)).qacc
 
