@@ -108,9 +108,13 @@ def accelerations(
     return np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(qpos), jnp.asarray(qvel), jnp.asarray(targets)))
 
 
-def compare_motion(config: AgreementConfig, speed: float) -> list[dict[str, Any]]:
-    """Differences after 1 and 10 control steps in float32, at the rate and with the settings of training."""
-    c, x = NativePhysics(load_model(replace(MJX_TRAINING, iterations=100))), MjxPhysics(load_mjx_model(MJX_TRAINING))
+def compare_motion(config: AgreementConfig, speed: float, precision: str = "highest") -> list[dict[str, Any]]:
+    """Differences after 1 and 10 control steps in float32, at the rate and with the settings of training.
+
+    `precision` is that of MJX's products, by the names of `jax.default_matmul_precision`.
+    """
+    c = NativePhysics(load_model(replace(MJX_TRAINING, iterations=100)))
+    x = MjxPhysics(load_mjx_model(MJX_TRAINING), precision=precision)
     qpos, qvel, targets = draw(config, c.model, speed)
     theirs = c.init(qpos, qvel)
     ours = x.init(qpos.astype(np.float32), qvel.astype(np.float32))

@@ -54,6 +54,7 @@ def run(
     config_class: type[C],
     groups: Mapping[str, Group] | None = None,
     renamed: Mapping[str, str] | None = None,
+    complete: Callable[[Sequence[str]], Sequence[str]] = list,
 ) -> None:
     """Run a command: read `sys.argv`, call `main`; `--help` explains every key, `-m` runs all combinations of values.
 
@@ -65,7 +66,7 @@ def run(
         # All of it here, for a launcher of Hydra's may take the job to another process.
         with plain_words():
             keep_compiled_programs()
-            config = parse(config_class, arguments, groups)
+            config = parse(config_class, complete(arguments), groups)
             main(config.apart(swept) if swept else config)
 
     typed = sys.argv[1:]

@@ -26,13 +26,15 @@ class MjxPhysics:
 
     traceable = True
 
-    def __init__(self, model: mujoco.MjModel, max_delay: int = 0) -> None:
+    def __init__(self, model: mujoco.MjModel, max_delay: int = 0, precision: str = "highest") -> None:
         """Put the model on the device.
 
         Args:
           model: from `robot.model.load_mjx_model`. Flat floor and terrain are one model here: the floor under each
             leg and the pelvis is a plane that follows the tangent of z = h sin x.
           max_delay: longest delay that a scenario will ask for, physics steps.
+          precision: of matrix products, by the names of `jax.default_matmul_precision`. Left to themselves, accelerators
+            round factors to 8 or 11 bits, which the loops' Jacobians do not bear.
         """
         # By itself, MJX takes the first device of all, which may be another host's.
         self._device = jax.local_devices()[0]
@@ -42,8 +44,7 @@ class MjxPhysics:
         self._motors = np.eye(model.nv)[:, cassie.ACTIVE_QVEL]
         self._pushed = self._tree.moves[cassie.PELVIS_BODY]
         self._constraints = Constraints(model, self._tree, *self._touching())
-        # Accelerators would round the factors of a product to 8 or 11 bits: the loops' Jacobians do not bear that.
-        exact = jax.default_matmul_precision("highest")
+        exact = jax.default_matmul_precision(precision)
         self._advance = jax.jit(exact(self._scan), static_argnums=3)
         self._bodies = jax.jit(exact(self._kinematics))
 
@@ -161,7 +162,9 @@ class _Floors:
     def __init__(self, model: mujoco.MjModel) -> None:
         self.count = 3
         if [model.geom(i).name for i in range(self.count)] != ["left-floor", "right-floor", "pelvis-floor"]:
-            raise ValueError("The model's first geoms are not the three floors; make it with robot.model.load_mjx_model.")
+            raise ValueError(
+                "The model's first geoms are not the three floors; make it with robot.model.load_mjx_model."
+            )
         self.foot_centre = (cassie.TOE + cassie.HEEL) / 2
 
     def place(self, d: mjx.Data, h: jax.Array) -> mjx.Data:

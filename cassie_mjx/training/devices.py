@@ -4,6 +4,7 @@ With several hosts, each runs the same program in a process of its own on arrays
 reach the functions below that say so; the first process alone writes files and speaks.
 """
 
+import os
 from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeVar
@@ -41,6 +42,13 @@ def join() -> None:
         raise ValueError(
             f"distributed=true found no other processes ({error}) Start the command with srun or mpirun."
         ) from error
+
+
+def accelerator() -> str | None:
+    """What JAX calls the accelerator that it computes on by itself; None if it has only the CPU."""
+    # On few cores, XLA's threads take time from the physics' threads; it reads this when it first looks for devices.
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+    return None if jax.default_backend() == "cpu" else jax.local_devices()[0].device_kind
 
 
 def is_first() -> bool:

@@ -4,7 +4,6 @@ The host's loop: iterate, measure, save. A run is a directory with its configura
 whatever ends it, the same command with resume=true goes on exactly where the last checkpoint was.
 """
 
-import os
 import sys
 import time
 from collections.abc import Iterator
@@ -278,8 +277,6 @@ def train_policy(config: TrainConfig) -> Path:
         is written then. Or the learner's numbers are not finite any more.
       OSError: the directory cannot be written.
     """
-    # On few cores, XLA's threads take time from the physics' threads; it reads this when it makes its first array.
-    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
     if config.distributed:
         devices.join()
     config, console = resolve_config(config), Console(quiet=not devices.is_first())
