@@ -88,7 +88,8 @@ def throughput(model: str, robots: list[int], control_steps: int, seed: int) -> 
     jax.config.update("jax_enable_compilation_cache", False)
     timing = ThroughputConfig(control_steps=control_steps, turns=6, seed=seed)
     for count in robots:
-        stats = (row := time_mjx(timing, MODELS[model], count)) and jax.local_devices()[0].memory_stats() or {}
+        row = time_mjx(timing, MODELS[model], count)
+        stats = jax.local_devices()[0].memory_stats() or {}
         yield {"model": model, **row, "peak_bytes": stats.get("peak_bytes_in_use")}
 
 

@@ -60,6 +60,13 @@ def run(
 
     A ValueError or OSError ends it with one sentence and status 2, Ctrl-C with one word and status 130. In a sweep, it
     ends that combination alone, and the sweep has status 2.
+
+    Args:
+      main: what the command does.
+      config_class: its configuration.
+      groups: keys that have presets.
+      renamed: old to new names of keys.
+      complete: the arguments of one run, with those that the machine decides where the user has not.
     """
 
     def job(arguments: Sequence[str], swept: Mapping[str, str]) -> None:

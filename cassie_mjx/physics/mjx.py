@@ -33,7 +33,7 @@ class MjxPhysics:
           model: from `robot.model.load_mjx_model`. Flat floor and terrain are one model here: the floor under each
             leg and the pelvis is a plane that follows the tangent of z = h sin x.
           max_delay: longest delay that a scenario will ask for, physics steps.
-          precision: of matrix products, by the names of `jax.default_matmul_precision`. Left to themselves, accelerators
+          precision: of matrix products, by the names of `jax.default_matmul_precision`. By default, accelerators
             round factors to 8 or 11 bits, which the loops' Jacobians do not bear.
         """
         # By itself, MJX takes the first device of all, which may be another host's.
@@ -162,9 +162,7 @@ class _Floors:
     def __init__(self, model: mujoco.MjModel) -> None:
         self.count = 3
         if [model.geom(i).name for i in range(self.count)] != ["left-floor", "right-floor", "pelvis-floor"]:
-            raise ValueError(
-                "The model's first geoms are not the three floors; make it with robot.model.load_mjx_model."
-            )
+            raise ValueError("The model does not begin with the three floors; robot.model.load_mjx_model makes it.")
         self.foot_centre = (cassie.TOE + cassie.HEEL) / 2
 
     def place(self, d: mjx.Data, h: jax.Array) -> mjx.Data:

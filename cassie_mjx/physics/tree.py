@@ -1,8 +1,8 @@
 """Smooth dynamics of one robot on JAX: sums over the tree of bodies are products with constant matrices of 0 and 1.
 
 MJX walks the tree level by level, with a gather and a scatter each time, which accelerators are slow at. The tree of a
-robot never changes, so which joints move which bodies is a matrix. Spatial vectors have the angular part first and refer
-to the robot's centre of mass c, as in MuJoCo (Featherstone, "Rigid Body Dynamics Algorithms", 2008).
+robot never changes, so which joints move which bodies is a matrix. Spatial vectors have the angular part first and
+refer to the robot's centre of mass c, as in MuJoCo (Featherstone, "Rigid Body Dynamics Algorithms", 2008).
 """
 
 from itertools import groupby
@@ -50,7 +50,7 @@ class Tree:
         for body in range(1, model.nbody):
             ancestors[body] += ancestors[model.body_parentid[body]]
         self.moves = ancestors[:, model.dof_bodyid]
-        # Whether joint velocity j carries the axis of joint velocity i along; MuJoCo's free joint moves before it turns.
+        # Whether joint velocity j carries the axis of i along; MuJoCo's free joint moves before it turns.
         self._carries = self.moves[model.body_parentid[model.dof_bodyid]]
         self._carries[3:6, :3] = 1
         self._coupled = np.tril(self.moves[model.dof_bodyid])
@@ -121,7 +121,7 @@ class Tree:
 
 
 def cross(a: jax.Array, b: jax.Array) -> jax.Array:
-    """a x b over the last axis, in slices alone."""
+    """Product a x b over the last axis, in slices alone."""
     (a1, a2, a3), (b1, b2, b3) = (tuple(x[..., i] for i in range(3)) for x in (a, b))
     return jnp.stack([a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1], axis=-1)
 
