@@ -128,7 +128,7 @@ class MjxPhysics:
         Returns the inertia [nv, nv], the joint forces [nv] of all but the constraints, and what the constraints make of
         them.
         """
-        d = mjx.kinematics(m, d)
+        d = self._tree.kinematics(m, d)
         d = mjx.collision(m, self._floors.place(d, h))
         motion = self._tree.motion(m, d)
         mass = self._tree.mass_matrix(m, motion)
@@ -145,8 +145,9 @@ class MjxPhysics:
     def _kinematics(self, state: PhysicsState) -> BodyState:
         def one(qpos: jax.Array, qvel: jax.Array) -> BodyState:
             d = mjx.make_data(self._mjx, self._device).replace(qpos=qpos, qvel=qvel)
-            d = mjx.com_vel(self._mjx, mjx.com_pos(self._mjx, mjx.kinematics(self._mjx, d)))
-            return BodyState(d.xpos, d.xmat, d.xipos, d.ximat, d.cvel, d.subtree_com[cassie.PELVIS_BODY])
+            d = self._tree.kinematics(self._mjx, d)
+            motion = self._tree.motion(self._mjx, d)
+            return BodyState(d.xpos, d.xmat, d.xipos, d.ximat, motion.cvel, motion.com)
 
         return jax.vmap(one)(state.qpos, state.qvel)
 

@@ -45,7 +45,7 @@ class Tree:
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        """Read it from a compiled model with one root, a free joint."""
+        """Read it from a compiled model with one root, a free joint, and at most one joint a body, balls and hinges."""
         ancestors = np.eye(model.nbody)
         for body in range(1, model.nbody):
             ancestors[body] += ancestors[model.body_parentid[body]]
@@ -56,6 +56,12 @@ class Tree:
         self._coupled = np.tril(self.moves[model.dof_bodyid])
         self._joint_of_dof = np.eye(model.njnt)[model.dof_jntid]
         self._translation = np.eye(model.nv, 3)
+        self._parents, self._geom_bodies = model.body_parentid, model.geom_bodyid
+        self._joint_bodies = model.jnt_bodyid
+        self._joint_of_body = (model.jnt_bodyid == np.arange(model.nbody)[:, None]).astype(float)
+        self._balls = [
+            (int(model.jnt_bodyid[j]), int(model.jnt_qposadr[j])) for j in np.flatnonzero(model.jnt_type == _BALL)
+        ]
         self.hinge_angles = np.zeros((model.nv, model.nq))
         hinges = model.jnt_type == _HINGE
         self.hinge_angles[model.jnt_dofadr[hinges], model.jnt_qposadr[hinges]] = 1
@@ -63,8 +69,43 @@ class Tree:
         # Hinges that follow each other are one slice.
         self._joints = [(kind, list(run)) for kind, run in groupby(joints, key=lambda joint: joint[1])]
 
+    def kinematics(self, m: Array, d: Array) -> Array:
+        """Where bodies, joints and geoms are; what `mjx.kinematics` does, in slices alone."""
+        dtype = d.qpos.dtype
+        joint = self._joint_of_body.astype(dtype)
+        angles = (self._joint_of_body @ self._joint_of_dof.T @ self.hinge_angles).astype(dtype)
+        anchor, half = joint @ m.jnt_pos, angles @ (d.qpos - m.qpos0) / 2
+        turns = jnp.concatenate([jnp.cos(half)[:, None], jnp.sin(half)[:, None] * (joint @ m.jnt_axis)], axis=1)
+        turns = [*turns]
+        for body, q in [(1, 3), *self._balls]:
+            turns[body] = d.qpos[q : q + 4] / jnp.sqrt((d.qpos[q : q + 4] ** 2).sum())
+        turn, frame = rotation_matrix(jnp.stack(turns)), rotation_matrix(m.body_quat)
+        # Of each body in its parent's frame; the root's joint is free.
+        local = times(frame, turn)
+        offset = m.body_pos + rotated(frame, anchor - rotated(turn, anchor))
+        xpos, xmat = [jnp.zeros(3, dtype), d.qpos[:3]], [jnp.eye(3, dtype=dtype), turn[1]]
+        for body in range(2, len(self._parents)):
+            parent = self._parents[body]
+            xpos.append(xpos[parent] + rotated(xmat[parent], offset[body]))
+            xmat.append(times(xmat[parent], local[body]))
+        of_joints, of_geoms = (
+            [jnp.stack([x[b] for b in bodies]) for x in (xpos, xmat)]
+            for bodies in (self._joint_bodies, self._geom_bodies)
+        )
+        places, turned = jnp.stack(xpos), jnp.stack(xmat)
+        return d.replace(
+            xpos=places,
+            xmat=turned,
+            xipos=places + rotated(turned, m.body_ipos),
+            ximat=times(turned, rotation_matrix(m.body_iquat)),
+            xanchor=of_joints[0] + rotated(of_joints[1], m.jnt_pos),
+            xaxis=rotated(of_joints[1], m.jnt_axis),
+            geom_xpos=of_geoms[0] + rotated(of_geoms[1], m.geom_pos),
+            geom_xmat=times(of_geoms[1], rotation_matrix(m.geom_quat)),
+        )
+
     def motion(self, m: Array, d: Array) -> Motion:
-        """Axes, velocities and inertias about the centre of mass, after `mjx.kinematics`."""
+        """Axes, velocities and inertias about the centre of mass, after `kinematics`."""
         moves, carries = (x.astype(d.qpos.dtype) for x in (self.moves, self._carries))
         com = (m.body_mass @ d.xipos) / m.body_mass.sum()
         cdof = self._axes(d, com)
@@ -126,6 +167,27 @@ def cross(a: jax.Array, b: jax.Array) -> jax.Array:
     return jnp.stack([a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1], axis=-1)
 
 
+def times(a: jax.Array, b: jax.Array) -> jax.Array:
+    """Products of matrices [..., 3, 3] as sums, which fuse where calls into a library would not."""
+    return (a[..., :, :, None] * b[..., None, :, :]).sum(axis=-2)
+
+
+def rotated(rotation: jax.Array, vector: jax.Array) -> jax.Array:
+    """Vectors [..., 3] turned by rotations [..., 3, 3]."""
+    return (rotation * vector[..., None, :]).sum(axis=-1)
+
+
+def rotation_matrix(quaternion: jax.Array) -> jax.Array:
+    """Rotations [..., 3, 3] of unit quaternions [..., 4]."""
+    w, x, y, z = (quaternion[..., i] for i in range(4))
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
 def cross_motion(velocity: jax.Array, axis: jax.Array) -> jax.Array:
     """Rate of change of spatial axes [..., 6] that are carried along at spatial velocities [..., 6]."""
     (omega, v), (angular, linear) = (jnp.split(x, 2, axis=-1) for x in (velocity, axis))
@@ -149,7 +211,7 @@ def momentum(inertia: jax.Array, velocity: jax.Array) -> jax.Array:
 def _inertia(m: Array, d: Array, com: jax.Array) -> jax.Array:
     r, mass = d.xipos - com, m.body_mass[:, None]
     # R diag(i) R' + m (r'r 1 - r r')
-    turned = (d.ximat[:, :, None, :] * (m.body_inertia[:, None, :] * d.ximat)[:, None, :, :]).sum(axis=-1)
+    turned = times(d.ximat * m.body_inertia[:, None, :], d.ximat.swapaxes(1, 2))
     steiner = jnp.eye(3, dtype=r.dtype) * (r * r).sum(axis=1)[:, None, None] - r[:, :, None] * r[:, None, :]
     rotational = turned + mass[:, :, None] * steiner
     return jnp.concatenate([rotational.reshape(-1, 9), mass * r, mass], axis=1)
