@@ -113,7 +113,7 @@ def compare_motion(config: AgreementConfig, speed: float, precision: str = "high
 
     `precision` is that of MJX's products, by the names of `jax.default_matmul_precision`.
     """
-    c = NativePhysics(load_model(replace(MJX_TRAINING, iterations=100)))
+    c = NativePhysics(load_model(replace(MJX_TRAINING, iterations=100, ls_iterations=50)))
     x = MjxPhysics(load_mjx_model(MJX_TRAINING), precision=precision)
     qpos, qvel, targets = draw(config, c.model, speed)
     theirs = c.init(qpos, qvel)
