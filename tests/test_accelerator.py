@@ -3,6 +3,7 @@
 import json
 import sys
 from functools import cache
+from typing import Any, cast
 
 import jax
 import pytest
@@ -20,8 +21,8 @@ from cassie_mjx.training.trainer import Trainer
 from experiments import accelerator, lowering
 from experiments.accelerator import AcceleratorConfig, Part
 
-# The loop over the steps of a control step is the only one.
-BUDGET = {"while": 1, "gather": 140, "scatter": 85}
+# The one loop goes over the steps of a control step; 13 of the gathers pick from states, the others from constants.
+BUDGET = {"while": 1, "gather": 80, "scatter": 0}
 
 
 @cache
@@ -60,7 +61,7 @@ def test_calls_count_as_often_as_they_are_made():
 def test_a_whole_iteration_lowers_for_a_gpu_and_a_tpu():
     trainer = Trainer(resolve_config(TrainConfig(physics="mjx", physics_hz=500, ppo=TINY)), load_motion("walk"))
     shapes = jax.eval_shape(trainer.start)
-    exported = export.export(trainer.iterate, platforms=["cuda", "tpu"])(shapes)
+    exported = export.export(cast(Any, trainer.iterate), platforms=["cuda", "tpu"])(shapes)
     assert exported.platforms == ("cuda", "tpu")
     assert len(exported.out_avals) == len(jax.tree.leaves(jax.eval_shape(trainer.iterate, shapes)))
 

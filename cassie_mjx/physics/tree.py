@@ -200,7 +200,7 @@ def cross_force(velocity: jax.Array, force: jax.Array) -> jax.Array:
     return jnp.concatenate([cross(omega, torque) + cross(v, f), cross(omega, f)], axis=-1)
 
 
-def momentum(inertia: jax.Array, velocity: jax.Array) -> jax.Array:
+def momentum(inertia: Array, velocity: jax.Array) -> jax.Array:
     """Spatial momenta [..., 6] of inertias [..., 13] at spatial velocities [..., 6]."""
     rotational, h, mass = inertia[..., :9].reshape(*inertia.shape[:-1], 3, 3), inertia[..., 9:12], inertia[..., 12:]
     omega, v = jnp.split(velocity, 2, axis=-1)
