@@ -1,7 +1,7 @@
 """Train a policy: `python -m cassie_mjx.train speed=1x`."""
 
 from cassie_mjx import cli
-from cassie_mjx.training.config import PRESETS, RENAMED, TrainConfig
+from cassie_mjx.training.config import PRESETS, RENAMED, TrainConfig, complete
 from cassie_mjx.training.runner import train_policy
 
 
@@ -12,7 +12,7 @@ def main(config: TrainConfig) -> None:
 
 def run() -> None:
     """Read the command line, and do it."""
-    cli.run(main, TrainConfig, {key: cli.Group(*presets) for key, presets in PRESETS.items()}, RENAMED)
+    cli.run(main, TrainConfig, {key: cli.Group(*presets) for key, presets in PRESETS.items()}, RENAMED, complete)
 
 
 if __name__ == "__main__":

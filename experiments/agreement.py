@@ -101,16 +101,20 @@ def accelerations(
         torque = cassie.pd_torque(target, q[cassie.ACTIVE_QPOS], v[cassie.ACTIVE_QVEL])
         d = mjx.make_data(physics.model).replace(qpos=q, qvel=v)
         if with_bias:
-            return physics.dynamics(m, d, torque, jnp.zeros(3), jnp.zeros(())).qacc
+            return physics.dynamics(m, d, torque, jnp.zeros(3), jnp.zeros(()))[2].qacc
         applied = jnp.zeros(cassie.NV).at[cassie.ACTIVE_QVEL].set(torque)
         return mjx.forward(m, d.replace(qfrc_applied=applied)).qacc
 
     return np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(qpos), jnp.asarray(qvel), jnp.asarray(targets)))
 
 
-def compare_motion(config: AgreementConfig, speed: float) -> list[dict[str, Any]]:
-    """Differences after 1 and 10 control steps in float32, at the rate and with the settings of training."""
-    c, x = NativePhysics(load_model(replace(MJX_TRAINING, iterations=100))), MjxPhysics(load_mjx_model(MJX_TRAINING))
+def compare_motion(config: AgreementConfig, speed: float, precision: str = "highest") -> list[dict[str, Any]]:
+    """Differences after 1 and 10 control steps in float32, at the rate and with the settings of training.
+
+    `precision` is that of MJX's products, by the names of `jax.default_matmul_precision`.
+    """
+    c = NativePhysics(load_model(replace(MJX_TRAINING, iterations=100, ls_iterations=50)))
+    x = MjxPhysics(load_mjx_model(MJX_TRAINING), precision=precision)
     qpos, qvel, targets = draw(config, c.model, speed)
     theirs = c.init(qpos, qvel)
     ours = x.init(qpos.astype(np.float32), qvel.astype(np.float32))

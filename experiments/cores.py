@@ -26,7 +26,7 @@ from cassie_mjx.configuration.values import Checked, Range, shown
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.native import cores
 from cassie_mjx.training.config import PRESETS, RENAMED, TrainConfig, resolve_config
-from cassie_mjx.training.runner import share_cores
+from cassie_mjx.training.devices import share_cores
 from cassie_mjx.training.trainer import Trainer
 
 Count = Annotated[int, Range(1, 4096)]

@@ -92,8 +92,8 @@ def main(config: SolverConfig) -> None:
         for iterations in (2, 4, 100):
             model = ModelConfig(physics_hz=hz, iterations=iterations)
             add("native", model, NativePhysics(load_model(model)), "ours")
-        for iterations, ls_iterations in ((1, 4), (2, 4), (3, 4), (4, 6), (8, 8)):
-            model = ModelConfig(hz, contacts="walking", iterations=iterations, ls_iterations=ls_iterations)
+        for iterations, ls_iterations in ((1, 2), (2, 2), (3, 2), (4, 3), (8, 8)):
+            model = ModelConfig(physics_hz=hz, iterations=iterations, ls_iterations=ls_iterations)
             add("mjx", model, MjxPhysics(load_mjx_model(model)), "ours")
     cli.write_result(out, {"rows": rows, "provenance": cli.provenance(seed=config.seed)})
 

@@ -158,7 +158,7 @@ def main(config: ThroughputConfig) -> None:
             rows.append(time_native(config, model, robots, threads))
             console.print(rows[-1])
     largest = max(config.mjx_robots, default=0)
-    published = ModelConfig(physics_hz=1000, contacts="published", iterations=4, ls_iterations=6)
+    published = replace(MJX_TRAINING, contacts="published")
     cases = [(MJX_TRAINING, robots) for robots in config.mjx_robots]
     cases += [(replace(MJX_TRAINING, contacts="walking"), largest), (published, largest)] if largest else []
     for model, robots in cases:

@@ -6,7 +6,7 @@ import pytest
 import tiny
 
 from cassie_mjx.physics import native
-from cassie_mjx.training import runner
+from cassie_mjx.training import devices
 from experiments import cores
 from experiments.cores import CoresConfig, computed, main, row, trained
 
@@ -41,8 +41,8 @@ def test_on_few_cores_the_learner_computes_on_one(monkeypatch, count, flags):
         # What the user has set stays.
         flags = "--xla_cpu_multi_thread_eigen=true"
         monkeypatch.setenv("XLA_FLAGS", flags)
-    runner.share_cores()
-    assert runner.os.environ.get("XLA_FLAGS", "") == flags
+    devices.share_cores()
+    assert devices.os.environ.get("XLA_FLAGS", "") == flags
     assert native.cores() == count
 
 

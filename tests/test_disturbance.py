@@ -19,7 +19,7 @@ from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model, load_model
 
 ROBOTS, HZ, SUBSTEPS = 8, 1000, 32
-MODEL = replace(MJX_TRAINING, iterations=100)
+MODEL = replace(MJX_TRAINING, iterations=100, ls_iterations=50)
 ALL = ScenarioConfig(push_n=200, push_pause_s=1.0, terrain_m=0.24, delay_s=0.0045)
 NO_ACTION = np.zeros((ROBOTS, 10), np.float32)
 

@@ -22,7 +22,7 @@ from cassie_mjx.robot import cassie
 from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model, load_model
 
 ROBOTS = 8
-MODEL = replace(MJX_TRAINING, iterations=100)
+MODEL = replace(MJX_TRAINING, iterations=100, ls_iterations=50)
 ON_THE_REFERENCE = WalkConfig(start_velocity_mps=0)
 
 

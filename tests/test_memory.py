@@ -14,7 +14,7 @@ def test_a_run_beyond_the_memory_is_refused_with_what_it_would_take(monkeypatch)
     ppo = PPOConfig(num_robots=1_000_000, num_steps=300)
     with pytest.raises(ValueError, match=r"^ppo.num_robots=1000000, .* about 1,\d\d\d GB of memory, and"):
         resolve_config(TrainConfig(ppo=ppo, physics="native"))
-    monkeypatch.setattr(memory, "_present_bytes", lambda physics: 2000 * GB)
+    monkeypatch.setattr(memory, "present_bytes", lambda physics: 2000 * GB)
     assert resolve_config(TrainConfig(ppo=ppo, physics="native")).ppo == ppo
 
 

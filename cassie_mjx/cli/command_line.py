@@ -54,18 +54,26 @@ def run(
     config_class: type[C],
     groups: Mapping[str, Group] | None = None,
     renamed: Mapping[str, str] | None = None,
+    complete: Callable[[Sequence[str]], Sequence[str]] = list,
 ) -> None:
     """Run a command: read `sys.argv`, call `main`; `--help` explains every key, `-m` runs all combinations of values.
 
     A ValueError or OSError ends it with one sentence and status 2, Ctrl-C with one word and status 130. In a sweep, it
     ends that combination alone, and the sweep has status 2.
+
+    Args:
+      main: what the command does.
+      config_class: its configuration.
+      groups: keys that have presets.
+      renamed: old to new names of keys.
+      complete: the arguments of one run, with those that the machine decides where the user has not.
     """
 
     def job(arguments: Sequence[str], swept: Mapping[str, str]) -> None:
         # All of it here, for a launcher of Hydra's may take the job to another process.
         with plain_words():
             keep_compiled_programs()
-            config = parse(config_class, arguments, groups)
+            config = parse(config_class, complete(arguments), groups)
             main(config.apart(swept) if swept else config)
 
     typed = sys.argv[1:]

@@ -1,5 +1,6 @@
 """The configuration of a training run."""
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from cassie_mjx.ppo import learner
 from cassie_mjx.ppo.config import PPO_PRESETS, PPOConfig
 from cassie_mjx.robot.drawing import choose_backend
 from cassie_mjx.robot.model import CONTACTS, PhysicsHz, steps_per_control
+from cassie_mjx.training import devices
 from cassie_mjx.training.memory import check_memory
 from cassie_mjx.training.trackers import TRACKERS, check_installed
 
@@ -74,7 +76,8 @@ class TrainConfig(Checked):
     walk: WalkConfig = field(default_factory=WalkConfig)
     """The task."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
-    """The learner: a preset (ppo=paper) and single values (ppo.gamma=0.98)."""
+    """The learner: a preset (ppo=paper) and single values (ppo.gamma=0.98). Where physics=auto finds an accelerator, a
+    command that names no preset has ppo=massive."""
     evaluate_every: Annotated[int, Range(1, 1_000_000)] | None = None
     """Iterations between measurements of the return, each followed by a checkpoint. null: about 30 checkpoints a run,
     each with a measurement until a policy walks for 300 steps from every start, then each tenth."""
@@ -114,14 +117,33 @@ class TrainConfig(Checked):
         return self
 
 
+def complete(arguments: Sequence[str]) -> list[str]:
+    """The arguments of a training, with `ppo=massive` where an accelerator trains and no preset is named.
+
+    A line on stderr says so.
+    """
+    given = dict(argument.split("=", 1) for argument in arguments if "=" in argument)
+    if "ppo" in given or given.get("physics", "auto") != "auto":
+        return list(arguments)
+    if given.get("distributed") == "true":
+        # The processes cannot find each other any more once one has looked for devices.
+        devices.join()
+    kind = devices.accelerator()
+    if kind is None:
+        return list(arguments)
+    if devices.is_first():
+        print(f"{kind} trains: physics=mjx and ppo=massive, unless you name others.", file=sys.stderr)
+    return ["ppo=massive", *arguments]
+
+
 def resolve_config(config: TrainConfig) -> TrainConfig:
     """The configuration with nothing left to choose: engine, rate and directory.
 
     Raises:
       ValueError: the sizes do not divide among the devices or processes, or the memory is not enough.
     """
-    accelerated = config.physics == "auto" and jax.default_backend() != "cpu"
-    physics = ("mjx" if accelerated else "native") if config.physics == "auto" else config.physics
+    accelerator = devices.accelerator()
+    physics = ("mjx" if accelerator else "native") if config.physics == "auto" else config.physics
     learner.check_devices(config.ppo, jax.device_count() if physics == "mjx" else jax.process_count())
     physics_hz = config.physics_hz or ENGINES[physics].training.physics_hz
     check_installed(config.log)

@@ -5,6 +5,7 @@ reach the functions below that say so; the first process alone writes files and 
 the host: each process has a share of its own, and one device to learn from it.
 """
 
+import os
 from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeVar
@@ -16,10 +17,14 @@ from jax.experimental import multihost_utils
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Key
 
+from cassie_mjx.physics.native import cores
 from cassie_mjx.ppo.rollout import Collect
 from cassie_mjx.ppo.types import LearnerState, Policy, Rollout, UpdateMetrics
 
 AXIS = "devices"
+
+FEW_CORES = 4
+"""Cores up to which the learner computes on one of them."""
 
 T = TypeVar("T")
 
@@ -42,6 +47,18 @@ def join() -> None:
         raise ValueError(
             f"distributed=true found no other processes ({error}) Start the command with srun or mpirun."
         ) from error
+
+
+def share_cores() -> None:
+    """On few cores, leave them to the physics' threads: XLA reads this when it first looks for devices."""
+    if cores() <= FEW_CORES:
+        os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+
+
+def accelerator() -> str | None:
+    """What JAX calls the accelerator that it computes on by itself; None if it has only the CPU."""
+    share_cores()
+    return None if jax.default_backend() == "cpu" else jax.local_devices()[0].device_kind
 
 
 def is_first() -> bool:

@@ -30,7 +30,7 @@ def needed_bytes(ppo: PPOConfig, walk: WalkConfig, physics: str, physics_hz: int
 
 def check_memory(ppo: PPOConfig, walk: WalkConfig, physics: str, physics_hz: int) -> None:
     """Raise ValueError if a run needs more memory than its devices have in all."""
-    needed, present = needed_bytes(ppo, walk, physics, physics_hz), _present_bytes(physics)
+    needed, present = needed_bytes(ppo, walk, physics, physics_hz), present_bytes(physics)
     if needed > present:
         raise ValueError(
             f"ppo.num_robots={ppo.num_robots}, ppo.num_steps={ppo.num_steps} and ppo.hidden_sizes="
@@ -39,7 +39,7 @@ def check_memory(ppo: PPOConfig, walk: WalkConfig, physics: str, physics_hz: int
         )
 
 
-def _present_bytes(physics: str) -> int:
+def present_bytes(physics: str) -> int:
     """The memory of what an engine trains on: of all accelerators, or of this machine for each process."""
     device = jax.local_devices()[0]
     stats = device.memory_stats() if physics == "mjx" and device.platform != "cpu" else None

@@ -4,7 +4,6 @@ The host's loop: iterate, measure, save. A run is a directory with its configura
 whatever ends it, the same command with resume=true goes on exactly where the last checkpoint was.
 """
 
-import os
 import sys
 import time
 from collections.abc import Iterator
@@ -25,7 +24,6 @@ from cassie_mjx.agents.policy_file import learner_policy, save_policy
 from cassie_mjx.evaluation.returns import walk_returns
 from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.physics.make import make_physics
-from cassie_mjx.physics.native import cores
 from cassie_mjx.ppo import learner, networks
 from cassie_mjx.ppo.types import Policy
 from cassie_mjx.robot.model import ModelConfig
@@ -36,9 +34,6 @@ from cassie_mjx.training.films import film_policy
 from cassie_mjx.training.interruption import Interruption
 from cassie_mjx.training.loggers import Sinks, Terminal
 from cassie_mjx.training.trainer import IterationMetrics, RunState, Trainer, initial_policy, unlike
-
-FEW_CORES = 4
-"""Cores up to which the learner computes on one of them."""
 
 
 class Runner:
@@ -285,12 +280,6 @@ class Runner:
         self.saved = self.done
 
 
-def share_cores() -> None:
-    """On few cores, leave them to the physics' threads: XLA reads this when it makes its first array."""
-    if cores() <= FEW_CORES:
-        os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
-
-
 def train_policy(config: TrainConfig) -> Path:
     """Train one policy; what `python -m cassie_mjx.train` does. Returns the run's directory.
 
@@ -299,7 +288,6 @@ def train_policy(config: TrainConfig) -> Path:
         is written then. Or the learner's numbers are not finite any more.
       OSError: the directory cannot be written.
     """
-    share_cores()
     if config.distributed:
         devices.join()
     config, console = resolve_config(config), Console(quiet=not devices.is_first())

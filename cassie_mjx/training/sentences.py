@@ -7,6 +7,7 @@ import numpy as np
 
 from cassie_mjx.training.config import TrainConfig
 from cassie_mjx.training.counters import Counters
+from cassie_mjx.training.memory import needed_bytes, present_bytes
 
 CLIPPED_SHARE = 0.01
 """Share of the samples in which an input of the networks may be clipped without a word."""
@@ -21,7 +22,13 @@ def plan(config: TrainConfig) -> str:
     return (
         f"{config.speed} on {config.reference}{origin}, {config.ppo.num_robots} robots on {config.physics}{spread} "
         f"at {config.physics_hz} Hz, {config.ppo.iterations} iterations of {config.ppo.num_samples:,} samples."
+        f"{_memory(config) if config.physics == 'mjx' else ''}"
     )
+
+
+def _memory(config: TrainConfig) -> str:
+    needed = needed_bytes(config.ppo, config.walk, "mjx", config.physics_hz or 0)
+    return f" They take about {needed / 1e9:.1f} of {present_bytes('mjx') / 1e9:,.0f} GB of memory."
 
 
 def conclusion(best: Path, counters: Counters) -> str:
