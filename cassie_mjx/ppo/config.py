@@ -70,12 +70,6 @@ class PPOConfig(Checked):
     gae_lambda: Annotated[float, Range(0, 1)] = 0.95
     """Lambda of generalised advantage estimation; 1 gives the Monte-Carlo return with the critic's value at the cut."""
 
-    averaged_share: Annotated[float, Range(0, 1)] = 0.1
-    """Share of the iterations so far that the actor which is measured and saved is the mean of; 0 saves the last one.
-
-    The weights are exponential, as in Polyak averaging: what single minibatches did to the actor averages out.
-    """
-
     clip_epsilon: Annotated[float, Range(1e-4, 100)] = 0.2
     """Half-width of the interval around 1 in which the probability ratio still earns surrogate (*paper*)."""
 
@@ -149,7 +143,6 @@ PPO_PRESETS = {
         privileged_critic=False,
         final_action_std=None,
         gae_lambda=1.0,
-        averaged_share=0,
         normalize_advantage=False,
         actor_learning_rate=1e-3,
         actor_schedule="exponential",

@@ -60,7 +60,6 @@ def init(
     critic = networks.init(critic_key, critic_size, config.hidden_sizes, 1)
     return LearnerState(
         policy=Policy(normalizer.init(observation_size), actor, jnp.float32(config.action_std)),
-        averaged_actor=actor,
         critic=critic,
         actor_optimizer=_actor_optimizer(config).init(actor),
         critic_optimizer=_critic_optimizer(config).init(critic),
@@ -119,13 +118,8 @@ def update(
         critic_learning_rate=rates.critic,
     )
     iteration = state.iteration + 1
-    trained = trained._replace(
-        policy=trained.policy._replace(std=action_std(config, iteration)),
-        averaged_actor=_average(config, state.averaged_actor, trained.policy.actor, iteration),
-        step_factor=_adapt(config, state, metrics.kl),
-        iteration=iteration,
-    )
-    return trained, metrics
+    policy = trained.policy._replace(std=action_std(config, iteration))
+    return trained._replace(policy=policy, step_factor=_adapt(config, state, metrics.kl), iteration=iteration), metrics
 
 
 def check_devices(config: PPOConfig, devices: int) -> None:
@@ -133,11 +127,6 @@ def check_devices(config: PPOConfig, devices: int) -> None:
     for name in ("num_robots", "minibatch_size"):
         if getattr(config, name) % devices:
             raise ValueError(f"{name} is {getattr(config, name)}; it must be a multiple of the {devices} devices.")
-
-
-def averaged_policy(state: LearnerState) -> Policy:
-    """Return the policy that is worth keeping: its actor is the mean of those of the last iterations."""
-    return state.policy._replace(actor=state.averaged_actor)
 
 
 def learning_rates(config: PPOConfig, state: LearnerState) -> LearningRates:
@@ -175,12 +164,6 @@ def _adapt(config: PPOConfig, state: LearnerState, kl: Float[Array, ""]) -> Floa
     too_far, too_short = kl > target * KL_BAND, kl < target / KL_BAND
     change = jnp.where(too_far, 1 / KL_STEP, jnp.where(too_short, KL_STEP, 1.0))
     return jnp.clip(state.step_factor * change, *STEP_FACTOR_BOUNDS)
-
-
-def _average(config: PPOConfig, averaged: Params, actor: Params, iteration: Int[Array, ""]) -> Params:
-    # An exponential mean with a window that grows with the iterations, and is at least one.
-    weight = 1 / jnp.maximum(1.0, config.averaged_share * iteration)
-    return jax.tree.map(lambda mean, new: mean + weight * (new - mean), averaged, actor)
 
 
 def _prepare(

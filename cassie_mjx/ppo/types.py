@@ -69,8 +69,6 @@ class LearnerState(NamedTuple):
     """Everything the learner carries from one iteration to the next."""
 
     policy: Policy
-    averaged_actor: Params
-    """Mean of the actors of the last iterations; before the first update, the actor."""
     critic: Params
     actor_optimizer: optax.OptState
     critic_optimizer: optax.OptState

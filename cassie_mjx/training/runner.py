@@ -24,7 +24,7 @@ from cassie_mjx.agents.policy_file import learner_policy, save_policy
 from cassie_mjx.evaluation.returns import walk_returns
 from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.physics.make import make_physics
-from cassie_mjx.ppo import learner, networks
+from cassie_mjx.ppo import networks
 from cassie_mjx.ppo.types import Policy
 from cassie_mjx.robot.model import ModelConfig
 from cassie_mjx.training import checkpoint, counters, devices, divergence, lock, run_directory, schedule, sentences
@@ -191,7 +191,7 @@ class Runner:
 
     def _returns(self) -> tuple[Policy, dict[str, float]]:
         """The present policy, and what it is worth."""
-        policy = devices.own_copy(learner.averaged_policy(self.run.learner))
+        policy = devices.own_copy(self.run.learner.policy)
         returns = walk_returns(self._agent(policy), self.eval_engine, self.speeds)
         self.counters.walked, self.counters.measurements = returns["steps"], self.counters.measurements + 1
         return policy, returns
