@@ -67,7 +67,7 @@ def test_a_command_parses(monkeypatch, tmp_path, page, words):
     def parse(main, config, *more):
         plain = [word for word in arguments if word not in ("-m", "--help")]
         sweeping = "-m" in arguments
-        parsed.append(cli.parse(config, [w.partition(",")[0] if sweeping else w for w in plain], *more))
+        parsed.append(cli.parse(config, [w.partition(",")[0] if sweeping else w for w in plain], *more[:2]))
 
     monkeypatch.setattr(cli, "run", parse)
     monkeypatch.setattr(sys, "argv", [module, *arguments])

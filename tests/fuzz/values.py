@@ -46,7 +46,7 @@ def configurations() -> Iterator[tuple[str, tuple[Any, ...], list[str]]]:
 
         def run(main: Any, config: Any, *more: Any, found: list[Any] = found) -> None:
             # The docstrings of the keys are at hand while the file runs.
-            found.extend(((config, *more), list(keys_of(config, more[0] if more else {}))))
+            found.extend(((config, *more[:2]), list(keys_of(config, more[0] if more else {}))))
 
         with mock.patch.object(cli, "run", run), mock.patch("sys.argv", [str(path)]):
             runpy.run_path(str(path), run_name="__main__")
