@@ -28,6 +28,7 @@ from cassie_mjx import cli, starting
 from cassie_mjx.cli.origin import version_of
 from cassie_mjx.configuration.values import Checked, Range, Seed
 from cassie_mjx.physics.make import ENGINES
+from cassie_mjx.training import schedule
 from cassie_mjx.training.config import PRESETS, RENAMED, TrainConfig
 
 GOALS = (150, 250)
@@ -123,7 +124,7 @@ def command(name: str, seed: int, folder: Path, config: PeersConfig) -> list[str
         arguments = [*config.train, f"physics={learner.physics}", "resume=true"]
     else:
         told |= {"samples": config.samples, "robots": ours.ppo.num_robots}
-        told |= {"every": ours.evaluate_every * ours.ppo.num_samples}
+        told |= {"every": schedule.period(ours) * ours.ppo.num_samples}
         arguments = []
     return [sys.executable, "-m", learner.module, *arguments, *(f"{key}={value}" for key, value in told.items())]
 
@@ -142,6 +143,7 @@ def read_curve(name: str, folder: Path, config: PeersConfig) -> list[dict[str, f
             "return_plain": line["eval/return_plain"],
         }
         for line in lines
+        if "eval/return_plain" in line
     ]
 
 

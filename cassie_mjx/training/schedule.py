@@ -14,7 +14,7 @@ One that walks costs 192,000 physics steps, ten times as many as one that falls 
 
 def saves(config: TrainConfig, iteration: int) -> bool:
     """Whether a checkpoint is saved, and a line of metrics written, after this iteration."""
-    return iteration % _period(config) == 0 or iteration == config.ppo.iterations
+    return iteration % period(config) == 0 or iteration == config.ppo.iterations
 
 
 def measures(config: TrainConfig, iteration: int, walked: float) -> bool:
@@ -27,7 +27,7 @@ def measures(config: TrainConfig, iteration: int, walked: float) -> bool:
     """
     if config.evaluate_every or walked < EPISODE_STEPS or iteration == config.ppo.iterations:
         return True
-    return iteration % (SKIPPED * _period(config)) == 0
+    return iteration % (SKIPPED * period(config)) == 0
 
 
 def _period(config: TrainConfig) -> int:
