@@ -19,9 +19,9 @@ def iterations(config: TrainConfig, walked: float) -> tuple[list[int], list[int]
 
 def test_falling_policies_are_measured_often_and_walking_ones_seldom():
     default = TrainConfig()
-    every_tenth = list(range(10, 301, 10))
-    assert iterations(default, walked=299.9) == (every_tenth, every_tenth)
-    assert iterations(default, walked=300) == (every_tenth, [100, 200, 300])
+    thirty = list(range(40, 1201, 40))
+    assert iterations(default, walked=299.9) == (thirty, thirty)
+    assert iterations(default, walked=300) == (thirty, [400, 800, 1200])
 
 
 @pytest.mark.parametrize(("count", "last"), [(1, 1), (7, 7), (29, 29), (605, 605)])

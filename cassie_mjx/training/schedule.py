@@ -30,5 +30,6 @@ def measures(config: TrainConfig, iteration: int, walked: float) -> bool:
     return iteration % (SKIPPED * period(config)) == 0
 
 
-def _period(config: TrainConfig) -> int:
+def period(config: TrainConfig) -> int:
+    """Iterations between checkpoints."""
     return config.evaluate_every or max(1, config.ppo.iterations // CHECKPOINTS)
