@@ -52,14 +52,14 @@ def test_runs_are_made_once_and_the_table_says_what_was_not_reached(monkeypatch,
     assert len(made) == 2
     ours, brax = json.loads((tmp_path / "out.json").read_text())["rows"]
     # The statistics of our inputs are of 50,000 states, in whole rollouts of 64 x 32.
-    assert (ours["samples_to_150"], ours["train_s_to_150"]) == (2000 + 51_200, 20)
-    assert (ours["samples_to_250"], ours["train_s_to_250"], ours["best_return_plain"]) == (4000 + 51_200, 40, 250.5)
+    assert (ours["samples_to_150"], ours["train_s_to_150"]) == (2000 + 50_176, 20)
+    assert (ours["samples_to_250"], ours["train_s_to_250"], ours["best_return_plain"]) == (4000 + 50_176, 40, 250.5)
     assert (brax["samples_to_150"], brax["train_s_to_250"], brax["best_return_plain"]) == (None, None, 12.34)
     console = Console(width=200)
     with console.capture() as shown:
         console.print(table([ours, brax]))
     lines = [re.split(r"\s*│\s*", line.strip("│ \n")) for line in shown.get().splitlines() if "seed" not in line]
-    assert ["ours", "native 500 Hz", "0", "53,200", "20", "55,200", "40", "250.5", "55,200 samples, 40 s"] in lines
+    assert ["ours", "native 500 Hz", "0", "52,176", "20", "54,176", "40", "250.5", "54,176 samples, 40 s"] in lines
     assert ["brax", "mjx 1000 Hz", "0", *["not reached", ""] * 2, "12.3", "2,000 samples, 20 s"] in lines
 
 
