@@ -22,15 +22,17 @@ from experiments.pages import block, readme_block, with_block
 from experiments.tables import agents
 
 STUDIES = {
-    "walking": "Learning to walk",
-    "make_train": "Learning to walk by `make train`, with nothing else on two cores",
-    "defaults": "What the default was changed by, one thing at a time",
-    "starts": "Starting up to 1.2 m/s off the reference's velocity, and at it",
-    "reward": "Learning from the weighted reward, and from the plain one (the default until November 2026)",
-    "rate": "Learning with physics at 500 Hz, and at 1 kHz (the default until November 2026)",
-    "learning_speeds": "Learning other speeds, and all of them",
+    "walking": "Learning to walk, with the default of the policies that ship",
+    "make_train": "The same by `make train`, with nothing else on two cores",
+    "default": "From that default to the present one, a step at a time",
+    "default_speeds": "Learning other speeds with the present default",
+    "starts": "Starting up to 0.5 m/s off the reference's velocity, and at it",
+    "reward": "Learning from the weighted reward, and from the plain one",
+    "rate": "Learning with physics at 500 Hz, and at 1 kHz",
+    "learning_speeds": "Learning other speeds from the 1x policy, and all of them from scratch",
     "robust": "Learning under pushes, terrain and delay, and going on with less noise",
     "symmetry": "Learning under disturbances: one step of the stride, the other as in a mirror, and both",
+    "warm_start": "Learning 4x from the 1x policy, and from scratch",
     "paper": "The paper's learner as printed, and readings that differ in one point",
 }
 """Studies of `experiments.learning`, and what they are about."""
