@@ -111,10 +111,11 @@ def summary(folder: Path) -> Table:
         for row, values in _cells(measured).items()
         if row.experiment in SUMMARY
     ]
-    seeds = " and ".join(f"{len(results)} of `{agent}`" for agent, results in measured if results[0].seed)
+    seeds = max((len(results) for _, results in measured), default=0)
+    interval = " [95% interval]" if seeds >= FEWEST else ""
     note = (
-        f"MuJoCo C at 2 kHz. Training seeds: {seeds or 'none yet'}; interquartile mean [95% interval] (least to "
-        "greatest). `stiff` is a hand-made controller. The paper does not say at which phase of the stride it pushed."
+        f"MuJoCo C at 2 kHz; policies: interquartile mean of {seeds} training seeds{interval} (least to greatest). "
+        "`stiff` is hand-made. The paper does not say at which phase of the stride it pushed."
     )
     return Table(header, rows, [note])
 
