@@ -39,11 +39,9 @@ FORMER = {
     "ppo.updates_per_iteration": "40",
     "ppo.iterations": "300",
     "ppo.final_action_std": "0.1",
-    "ppo.actor_schedule": "constant",
     "walk.symmetric": "false",
-    "walk.start_velocity_mps": "0.5",
 }
-"""The defaults until November 2026. Start velocities were drawn evenly then: these runs cannot be repeated exactly."""
+"""The defaults until November 2026."""
 
 ACTOR, CRITIC = "ppo.actor_learning_rate", "ppo.critic_learning_rate"
 PAPER = {

@@ -32,12 +32,11 @@ class WalkConfig(Checked):
     Without it robots with a fast command learn to do without the position's share of the reward."""
     episode_steps: Annotated[int, Range(1, 2**30)] = 300
     """Control steps of a full episode; 300 are 9.6 s."""
-    start_velocity_mps: Annotated[float, Range(0, 3)] = 1.2
+    start_velocity_mps: Annotated[float, Range(0, 3)] = 0.5
     """How far from the reference's the pelvis' horizontal velocity may be as an episode begins, m/s, in any direction.
 
-    It is drawn for each episode, as this times the square of a uniform number: most episodes begin near the reference.
-    Robots learn from it to come back to their commanded speed, sooner than by losing it themselves, and to bear pushes;
-    0 starts every episode on the reference, as in the paper."""
+    It is drawn for each episode. Robots learn from it to come back to their commanded speed, sooner than by
+    losing it themselves; 0 starts every episode on the reference, as in the paper."""
     start_offset_m: Annotated[float, Range(0, 3)] = 0.0
     """How far to the left or right of the reference's line an episode may begin, m. It is drawn for each episode."""
     command_s: Annotated[float, Range(CONTROL_PERIOD_S, 3600)] | None = 4.0

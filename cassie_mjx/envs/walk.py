@@ -164,7 +164,7 @@ class WalkEnv:
         time = jax.random.randint(key, (robots,), 0, self.samples)
         factor = command.draw_factor(jax.random.fold_in(key, _SPEED_KEY), robots, self.speeds)
         size_key, angle_key = jax.random.split(jax.random.fold_in(key, _VELOCITY_KEY))
-        size = self.config.start_velocity_mps * jnp.square(jax.random.uniform(size_key, (robots, 1)))
+        size = jax.random.uniform(size_key, (robots, 1), maxval=self.config.start_velocity_mps)
         angle = jax.random.uniform(angle_key, (robots,), maxval=2 * jnp.pi)
         limit = self.config.start_offset_m
         y = jax.random.uniform(jax.random.fold_in(key, _OFFSET_KEY), (robots,), minval=-limit, maxval=limit)
