@@ -128,8 +128,10 @@ class MjxPhysics:
         Returns the inertia [nv, nv], the joint forces [nv] of all but the constraints, and what the constraints make of
         them.
         """
+        # At the origin, for far from it float32 would take rounding for gaps in the loops.
+        x, d = d.qpos[0], d.replace(qpos=jnp.concatenate([jnp.zeros(2, d.qpos.dtype), d.qpos[2:]]))
         d = self._tree.kinematics(m, d)
-        d = mjx.collision(m, self._floors.place(d, h))
+        d = mjx.collision(m, self._floors.place(d, x, h))
         motion = self._tree.motion(m, d)
         mass = self._tree.mass_matrix(m, motion)
         arm = d.xipos[cassie.PELVIS_BODY] - motion.com
@@ -166,11 +168,13 @@ class _Floors:
             raise ValueError("The model does not begin with the three floors; robot.model.load_mjx_model makes it.")
         self.foot_centre = (cassie.TOE + cassie.HEEL) / 2
 
-    def place(self, d: mjx.Data, h: jax.Array) -> mjx.Data:
+    def place(self, d: mjx.Data, origin: jax.Array, h: jax.Array) -> mjx.Data:
+        """The planes where the robot stands whose x counts from `origin`, m."""
         feet = [(d.xpos[body] + d.xmat[body] @ self.foot_centre.astype(d.qpos.dtype))[0] for body in cassie.FOOT_BODIES]
-        x = jnp.stack([*feet, d.qpos[0]])
+        near = jnp.stack([*feet, d.qpos[0]])
+        x = origin + near
         slope, zero, one = h * jnp.cos(x), jnp.zeros_like(x), jnp.ones_like(x)
-        position = jnp.stack([x, zero, h * jnp.sin(x)], axis=1)
+        position = jnp.stack([near, zero, h * jnp.sin(x)], axis=1)
         # Columns of each rotation: the tangent (1, 0, h cos x) / n, the y axis, the normal (-h cos x, 0, 1) / n.
         n = jnp.sqrt(1 + slope**2)
         rotation = jnp.stack([1 / n, zero, -slope / n, zero, one, zero, slope / n, zero, 1 / n], axis=1)
