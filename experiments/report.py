@@ -24,8 +24,8 @@ from experiments.tables import agents
 STUDIES = {
     "walking": "Learning to walk, with the default of the policies that ship",
     "make_train": "The same by `make train`, with nothing else on two cores",
-    "default": "From that default to the present one, a step at a time",
-    "default_speeds": "Learning other speeds with the present default",
+    "default": "Learning to walk, with the present default",
+    "default_steps": "From the former default to the present one, a step at a time",
     "starts": "Starting up to 0.5 m/s off the reference's velocity, and at it",
     "reward": "Learning from the weighted reward, and from the plain one",
     "rate": "Learning with physics at 500 Hz, and at 1 kHz",

@@ -95,14 +95,9 @@ STUDIES = {
         Variant("any", FORMER | {"speed": "any", "init": "{runs}/any-first-seed{seed}"}, (0,)),
     ),
     "warm_start": (OTHER_SPEEDS[-1], Variant("4x-from-scratch", FORMER | {"speed": "4x"}, (0,))),
+    "default": (Variant("1x-default", {}, (0, 1)),),
     # From the former default to the present one, a step at a time.
-    "default": (
-        DEFAULT,
-        Variant("1x-mirrored", MIRRORED),
-        Variant("1x-short-rollouts", SHORT),
-        Variant("1x-default", {}),
-    ),
-    "default_speeds": tuple(Variant(f"{speed}-default", {"speed": speed}, (0,)) for speed in ("0x", "2x", "3x", "4x")),
+    "default_steps": (DEFAULT, Variant("1x-mirrored", MIRRORED), Variant("1x-short-rollouts", SHORT)),
     "robust": (
         ROBUST_FIRST,
         Variant("1x-robust", ROBUST | GENTLER | {"init": "{runs}/1x-robust-first-seed{seed}"}),

@@ -98,7 +98,7 @@ def configurations():
 
 def test_everything_that_has_out_has_overwrite():
     found = [(source, keys) for source, keys in configurations() if "out" in keys]
-    assert len(found) == 22
+    assert len(found) == 24
     for source, keys in found:
         assert "overwrite" in keys
         assert "config.overwrite)" in source
