@@ -35,7 +35,7 @@ def hills():
 
 
 def make(physics, motion, scenario, **config):
-    return WalkEnv(physics, motion, WalkConfig(scenario=scenario, **config), ROBOTS)
+    return WalkEnv(physics, motion, WalkConfig(scenario=scenario, symmetric=False, **config), ROBOTS)
 
 
 def assert_same(these, those):

@@ -23,7 +23,7 @@ from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model, load_model
 
 ROBOTS = 8
 MODEL = replace(MJX_TRAINING, iterations=100, ls_iterations=50)
-ON_THE_REFERENCE = WalkConfig(start_velocity_mps=0)
+ON_THE_REFERENCE = WalkConfig(start_velocity_mps=0, symmetric=False)
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +184,7 @@ def test_new_speeds_are_commanded_and_reached_slowly(native, motion):
 
 
 def test_robots_start_at_velocities_of_their_own(native, motion):
-    env = WalkEnv(native, motion, WalkConfig(start_velocity_mps=0.5, episode_steps=1), 256)
+    env = WalkEnv(native, motion, WalkConfig(start_velocity_mps=0.5, episode_steps=1, symmetric=False), 256)
     first = env.reset(jax.random.key(7))
     for state in (first, env.step(first, np.zeros((256, 10)), jax.random.key(8))):
         extra = state.physics.qvel - motion.qvel[np.asarray(state.motion.time)]

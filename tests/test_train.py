@@ -347,7 +347,7 @@ def test_a_sweep_runs_every_combination(monkeypatch, tmp_path):
         ("speed=fast", "speed=fast is not a speed"),
         ("physics=bullet", "physics=bullet is not known; choose one of auto, native, mjx."),
         ("physics_hz=300", "physics_hz=300 does not divide"),
-        ("evaluate_every=0", "evaluate_every=0 must be a whole number from 1 to 1,000,000."),
+        ("evaluate_every=0", "evaluate_every=0 must be a whole number from 1 to 1,000,000, or null."),
         ("ppo.clip_epsilon=-1", "ppo.clip_epsilon=-1.0 must be from 0.0001 to 100."),
         ("physics_hz=1000000000", "physics_hz=1000000000 must be a whole number from 100 to 20,000, or null."),
         ("walk=5", "walk=5 is not known; choose one of undisturbed, robust."),
@@ -407,8 +407,8 @@ def test_how_to_go_on_is_a_command_of_the_same_kind(monkeypatch):
 
 def test_a_sweep_takes_presets_and_nested_keys(monkeypatch, tmp_path):
     seen = configs(monkeypatch, tmp_path, "-m", "walk=undisturbed,robust", "walk.scenario.push_n=5,7", "ppo=paper")
-    assert [(each.walk.symmetric, each.walk.scenario.push_n) for each in seen] == [
-        *((False, 5.0), (False, 7.0), (True, 5.0), (True, 7.0))
+    assert [(each.walk.kd_scale, each.walk.scenario.push_n) for each in seen] == [
+        *((1.0, 5.0), (1.0, 7.0), (0.3, 5.0), (0.3, 7.0))
     ]
     assert seen[0].ppo == PPO_PRESETS["paper"]
 
