@@ -35,7 +35,6 @@ FLAGS = (
     {"XLA_FLAGS": "--xla_gpu_enable_command_buffer=+WHILE"},
     {"XLA_FLAGS": "--xla_gpu_graph_min_graph_size=1"},
     {"XLA_FLAGS": "--xla_gpu_enable_triton_gemm=false"},
-    {"JAX_DEFAULT_MATMUL_PRECISION": "highest"},
 )
 """Variables of the environment to try; the first is the baseline."""
 

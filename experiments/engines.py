@@ -1,7 +1,7 @@
 """Policies on the other engine: `python -m experiments.engines runs=[runs/native,runs/mjx] out=FILE.json`.
 
-The best policy of each run walks undisturbed on MuJoCo C and on MJX, at several physics rates, from the ten phases of
-`return_plain` and `return_weighted`. MuJoCo C at 2 kHz is what every return is measured by elsewhere; MJX has the
+The best policy of each run walks undisturbed on MuJoCo C and on MJX, at several physics rates, from the ten phases
+k/10 that training measures from. MuJoCo C at 2 kHz is what every return is measured by elsewhere; MJX has the
 solver and contacts that it trains with.
 """
 

@@ -68,7 +68,7 @@ class PeersConfig(Checked):
     seeds: tuple[Seed, ...] = (0, 1, 2)
     """Seeds of each learner."""
     samples: Annotated[int, Range(1, 10**12)] = 1_300_000
-    """Control steps after which a learner has not reached a return; our default run has 1,282,048."""
+    """Control steps after which a learner has not reached a return; our default run has 1,278,976."""
     seconds: Annotated[float, Range(1, 10**7)] = 7200.0
     """Time in learning after which it has not, s."""
     train: tuple[str, ...] = ()
@@ -121,6 +121,7 @@ def command(name: str, seed: int, folder: Path, config: PeersConfig) -> list[str
     learner, ours = LEARNERS[name], trained(config)
     told = {"seed": seed, "physics_hz": physics_hz(learner), "run_dir": folder}
     if learner.module == "cassie_mjx.train":
+        told |= {"evaluate_every": schedule.period(ours)}
         arguments = [*config.train, f"physics={learner.physics}", "resume=true"]
     else:
         told |= {"samples": config.samples, "robots": ours.ppo.num_robots}

@@ -23,7 +23,7 @@ from experiments.tables import agents
 
 STUDIES = {
     "walking": "Learning to walk, with the default of the policies that ship",
-    "make_train": "The same by `make train`, with nothing else on two cores",
+    "make_train": "The same on two quiet cores",
     "default": "Learning to walk, with the present default",
     "default_steps": "From the former default to the present one, a step at a time",
     "starts": "Starting up to 0.5 m/s off the reference's velocity, and at it",
@@ -66,8 +66,9 @@ DEFINITIONS = (
     "smaller one was survived for 4 s, at the worst and in the median of 8 phases of the stride; sideways is the "
     "weaker side. Heights h and delays are survived for 10 s from 8 and 10 phases. Training measures its policies from "
     "the phases k/10 of the stride, k = 0 to 9, and keeps the best by them; what is reported begins halfway between "
-    "two such phases, at (k + 1/2)/10, or (k + 1/2)/8 where there are eight. Learning curves are of training's phases, "
-    "and what a study says of a run is about its last policy, not its best."
+    "two such phases, at (k + 1/2)/10, or (k + 1/2)/8 where there are eight, unless a table says otherwise. Learning "
+    "curves are of training's phases. What a study says of a run is about its last policy; of runs before 2026-11-27, "
+    "its best."
 )
 
 

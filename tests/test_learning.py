@@ -51,7 +51,7 @@ def test_a_study_trains_each_seed_once_and_reports_it(monkeypatch, tmp_path):
     result = study(tmp_path)
     assert [call[3:] for call in calls] == [
         [
-            *("physics=native", "physics_hz=500"),
+            *("physics=native", "physics_hz=500", "evaluate_every=40"),
             *(f"{key}={value}" for key, value in TWO_SEEDS.settings.items()),
             *(f"seed={k}", f"run_dir={tmp_path}/runs/tenth-seed{k}", "resume=true"),
         ]

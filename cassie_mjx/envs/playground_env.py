@@ -92,7 +92,7 @@ class CassiePlaygroundEnv(MjxEnv):
 
         Args:
           config: as `default_config()`, which it is unless given.
-          config_overrides: on top, by dotted name, such as {"walk.symmetric": True}.
+          config_overrides: on top, by dotted name, such as {"walk.symmetric": False}.
 
         Raises:
           ValueError: a value is not known or out of its range.

@@ -55,7 +55,7 @@ class WalkEnv:
           speeds: lowest and highest factor on the motion's speed.
 
         Raises:
-          ValueError: the engine is made for shorter delays than the task draws, or the task is symmetric and the
+          ValueError: the engine is made for shorter delays than the task draws, or `config.symmetric` is true and the
             motion's second step is not the mirror image of its first.
         """
         self.physics, self.config, self.robots, self.speeds = physics, config, robots, speeds

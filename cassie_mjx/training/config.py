@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar
 import jax
 
 from cassie_mjx.cli.keys import present_name
+from cassie_mjx.cli.reading import BOOLEANS
 from cassie_mjx.configuration.values import Checked, Range, Seed, label
 from cassie_mjx.envs.config import WALK_PRESETS, WalkConfig
 from cassie_mjx.motion.command import speed_factors
@@ -125,7 +126,7 @@ def complete(arguments: Sequence[str]) -> list[str]:
     given = dict(argument.split("=", 1) for argument in arguments if "=" in argument)
     if "ppo" in given or given.get("physics", "auto") != "auto":
         return list(arguments)
-    if given.get("distributed") == "true":
+    if BOOLEANS.get(given.get("distributed", "").lower()):
         # The processes cannot find each other any more once one has looked for devices.
         devices.join()
     kind = devices.accelerator()

@@ -156,6 +156,8 @@ def _may_change(key: str, held: dict[str, Any], value: Any, begun: bool) -> bool
         return "init_sha256" in held and held["init_sha256"] == _policy_digest(value)
     if key == "ppo.iterations":
         return isinstance(held["config"][key], int) and value > held["config"][key]
+    if key == "walk.symmetric":
+        return held["config"][key] is True and value is None  # the same, for only motions that mirror were let through
     return key == "evaluate_every" or (key == "reference" and begun)
 
 

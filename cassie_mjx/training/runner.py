@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -142,7 +142,7 @@ class Runner:
     def _replace_best(self) -> None:
         """Measure the policy of the checkpoint and let it take the place of the best one, and say so."""
         lost = self.counters
-        self.counters = Counters(lost.train_s)
+        self.counters = replace(lost, return_plain=NOT_MEASURED, return_weighted=NOT_MEASURED)
         policy, returns = self._returns()
         self._keep(policy, returns)
         self.terminal.say(sentences.best_lost(self.folder / "best.npz", lost, self.counters))

@@ -60,7 +60,7 @@ def initial_policy(config: TrainConfig) -> NumpyPolicy | None:
 
     Raises:
       ValueError: there is none, or two; its file is damaged, or its layers or inputs are not those of this run, or it
-        is symmetric and this run is not.
+        learned one step and `walk.symmetric` is false.
     """
     if config.init is None:
         return None
