@@ -40,6 +40,7 @@ FORMER = {
     "ppo.iterations": "300",
     "evaluate_every": "10",
     "ppo.final_action_std": "0.1",
+    "ppo.actor_schedule": "constant",
     "walk.symmetric": "false",
 }
 """The defaults until November 2026."""

@@ -117,6 +117,9 @@ def test_same_key_same_bits():
         ("constant", 150, 1.0),
         ("linear", 50, 0.75),
         ("linear", 195, 0.1),  # 1 - 195/200 is below the floor
+        ("late", 100, 1.0),
+        ("late", 150, 0.5),
+        ("late", 195, 0.1),
         ("exponential", 2, 0.9801),
         ("exponential", 300, 0.1),  # 0.99^300 = 0.049 is below the floor
     ],

@@ -147,6 +147,8 @@ def _schedule(config: PPOConfig, name: str, iteration: Int[Array, ""]) -> Float[
     done = iteration.astype(jnp.float32)
     if name == "linear":
         factor = 1.0 - done / config.iterations
+    elif name == "late":
+        factor = jnp.minimum(1.0, 2.0 * (1.0 - done / config.iterations))
     elif name == "exponential":
         factor = config.learning_rate_decay**done
     else:
