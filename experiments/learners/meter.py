@@ -15,6 +15,7 @@ from cassie_mjx.agents.policy import PolicyAgent, policy_step
 from cassie_mjx.configuration.values import Checked, Range, Seed
 from cassie_mjx.control.law import ControlLaw
 from cassie_mjx.control.observation import Seen
+from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.evaluation.returns import walk_returns
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.make import make_physics
@@ -69,6 +70,8 @@ class Meter:
         folder.mkdir(parents=True, exist_ok=True)
         self._lines = JsonLines(folder / METRICS, samples=0)
         motion = load_motion("walk")
+        # The law of the views that the learner trains on, mirror included.
+        self._law = WalkConfig().law(motion)
         names = ("qpos", "qvel", "stride_length")
         self._motion = motion._replace(**{name: jnp.asarray(getattr(motion, name), jnp.float32) for name in names})
         self._physics = make_physics("native", ModelConfig())
@@ -84,7 +87,7 @@ class Meter:
           network: what `act` is given, a pytree.
         """
         began = time.perf_counter()
-        law = _OtherLaw(actor=act)
+        law = _OtherLaw(self._law.observation, self._law.symmetric, act)
         step = self._steps.setdefault(act, jax.jit(partial(policy_step, law, self._motion)))
         returns = walk_returns(PolicyAgent("peer", law, self._motion, network, step=step), self._physics)
         train_s = began - self._began - self._apart
