@@ -47,7 +47,7 @@ class Runner:
         """
         self.config = config = resolve_config(config)
         self.folder = Path(str(config.run_dir))
-        self.factor, speeds = speed_factors(config.speed)
+        self.factor, self.speeds = speed_factors(config.speed)
         begun = checkpoint.latest(self.folder / "checkpoints") is not None
         init = None if begun else initial_policy(config)
         self.provenance = cli.provenance()
@@ -67,10 +67,8 @@ class Runner:
         self.notes += unlike(config, init, self.motion, self.law) if init else []
         self.terminal = Terminal(console, config.ppo.iterations, self.done)
         self.sinks = Sinks(self.folder, config, self.samples, self.terminal.say) if devices.is_first() else None
-        self.speeds = speeds
         self.eval_engine = make_physics("native", ModelConfig())
-        motion = self.trainer.env.motion
-        self.policy_step = jax.jit(partial(policy_step, self.law, motion))
+        self.policy_step = jax.jit(partial(policy_step, self.law, self.trainer.env.motion))
         self.clipping_told = False
         self.diagnosed = bool(max(devices.exchange((self.folder / "nan").exists())))
 
