@@ -10,7 +10,9 @@ import pytest
 import tiny
 from rich.console import Console
 
+from cassie_mjx.envs.make import make_env
 from experiments import peers
+from experiments.learners import meter
 from experiments.peers import LEARNERS, PeersConfig, command, is_over, learn, main, row, table, within
 
 
@@ -130,6 +132,15 @@ def test_a_run_that_is_over_is_ended(monkeypatch, tmp_path):
     monkeypatch.setattr(peers, "command", lambda *_: [sys.executable, "-c", "import time; time.sleep(60)"])
     monkeypatch.setattr(peers, "read_curve", lambda *_: points(10, 250))
     assert row(learn("ours", 0, config(tmp_path)))["samples_to_250"] == 2000
+
+
+def test_peers_are_measured_with_the_law_of_their_views(monkeypatch, tmp_path):
+    measured = []
+    monkeypatch.setattr(meter, "walk_returns", lambda agent, physics: measured.append(agent.law) or {})
+    meter.Meter(meter.PeerConfig(run_dir=str(tmp_path))).measure(1, lambda network, observation: observation, None)
+    law = make_env("1x", 1, "native").law
+    assert law.symmetric
+    assert [(each.observation, each.symmetric) for each in measured] == [(law.observation, law.symmetric)]
 
 
 @pytest.mark.slow
