@@ -25,7 +25,7 @@ from cassie_mjx import cli
 from cassie_mjx.configuration.values import Checked, Range, shown
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.native import cores
-from cassie_mjx.training.config import PRESETS, RENAMED, TrainConfig, resolve_config
+from cassie_mjx.training.config import TrainConfig, from_arguments, resolve_config
 from cassie_mjx.training.devices import share_cores
 from cassie_mjx.training.trainer import Trainer
 
@@ -68,7 +68,7 @@ def check_cores(config: CoresConfig) -> None:
 def trained(config: CoresConfig) -> TrainConfig:
     """What is trained. Raises ValueError for what `cassie_mjx.train` would not take."""
     told = [*config.train, "physics=native"]
-    return cli.parse(TrainConfig, told, {key: cli.Group(*known) for key, known in PRESETS.items()}, RENAMED)
+    return from_arguments(told)
 
 
 def time_training(config: CoresConfig, count: int) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from cassie_mjx.cli.origin import version_of
 from cassie_mjx.configuration.values import Checked, Range, Seed
 from cassie_mjx.physics.make import ENGINES
 from cassie_mjx.training import schedule
-from cassie_mjx.training.config import PRESETS, RENAMED, TrainConfig
+from cassie_mjx.training.config import TrainConfig, from_arguments
 
 GOALS = (150, 250)
 """Plain returns, of 300."""
@@ -91,7 +91,7 @@ class PeersConfig(Checked):
 
 def trained(config: PeersConfig) -> TrainConfig:
     """Our learner's configuration. Raises ValueError for what `cassie_mjx.train` would not take."""
-    return cli.parse(TrainConfig, config.train, {key: cli.Group(*known) for key, known in PRESETS.items()}, RENAMED)
+    return from_arguments(config.train)
 
 
 def check_installed(learners: Collection[str]) -> None:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar
 
 import jax
 
+from cassie_mjx import cli
 from cassie_mjx.cli.keys import present_name
 from cassie_mjx.cli.reading import BOOLEANS
 from cassie_mjx.configuration.values import Checked, Range, Seed, label
@@ -116,6 +117,11 @@ class TrainConfig(Checked):
         if name := label({key: value for key, value in swept.items() if key not in told}):
             return replace(self, run_dir=f"{self.folder}-{name}")
         return self
+
+
+def from_arguments(arguments: Sequence[str]) -> TrainConfig:
+    """The configuration that `python -m cassie_mjx.train` makes of these arguments. Raises ValueError as it would."""
+    return cli.parse(TrainConfig, arguments, {key: cli.Group(*presets) for key, presets in PRESETS.items()}, RENAMED)
 
 
 def complete(arguments: Sequence[str]) -> list[str]:
