@@ -68,8 +68,12 @@ GENTLER = {
 ROBUST_FIRST = Variant("1x-robust-first", ROBUST | {"init": "1x", "ppo.iterations": "600"})
 OTHER_SPEEDS = tuple(Variant(speed, FORMER | {"speed": speed, "init": "1x"}) for speed in ("0x", "2x", "3x", "4x"))
 MIRRORED = FORMER | {"walk.symmetric": "true"}
-SHORT = MIRRORED | {"ppo.num_steps": "8", "ppo.updates_per_iteration": "10", "ppo.iterations": "1200"}
-SHORT |= {"evaluate_every": "40"}
+SHORT = MIRRORED | {
+    "ppo.num_steps": "8",
+    "ppo.updates_per_iteration": "10",
+    "ppo.iterations": "1200",
+    "evaluate_every": "40",
+}
 
 LATER = {"init": None, "ppo.privileged_critic": False, "ppo.final_action_std": None}
 LATER |= {
