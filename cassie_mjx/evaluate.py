@@ -15,7 +15,8 @@ from rich.table import Table
 
 from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
-from cassie_mjx.evaluation.suites import ALL, PHASES, SUITES, EvalSetup
+from cassie_mjx.evaluation.setup import PHASES, EvalSetup
+from cassie_mjx.evaluation.suites import ALL, SUITES
 from cassie_mjx.physics.make import ENGINES
 
 
@@ -26,7 +27,8 @@ class EvaluateConfig(AgentConfig):
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"suite": (*SUITES, "all"), "physics": tuple(ENGINES)}
 
     suite: str = "all"
-    """"walk", "delay", "terrain", "push", "all" of them, or "map": all pushes in 16 directions."""
+    """"walk", "delay", "terrain", "push", "all" of them, "map": all pushes in 16 directions, or "forces": pushes of
+    0.1 to 1 s, two pushes, steady forces and random pushes for a minute."""
     long: bool = False
     """Whether what lasts 10 s is done for 60 s as well; those quantities end in _60s."""
     physics: str = "native"

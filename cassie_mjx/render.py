@@ -12,7 +12,7 @@ from cassie_mjx.agents.make import AgentConfig
 from cassie_mjx.configuration.values import Range
 from cassie_mjx.evaluation.draw import ENCODINGS, FASTEST_GIF, FILM, draw_frames, write_video
 from cassie_mjx.evaluation.film import film
-from cassie_mjx.evaluation.trial import Trial
+from cassie_mjx.evaluation.trial import Push, Trial
 from cassie_mjx.robot.drawing import CAMERAS, load_scene, open_renderer
 from cassie_mjx.robot.model import ModelConfig
 
@@ -67,7 +67,7 @@ class RenderConfig(AgentConfig):
     def trial(self) -> Trial:
         """The trial that is filmed."""
         delay_steps = round(self.delay * ModelConfig().physics_hz / 1000)
-        return Trial(0, self.seconds, self.push, self.terrain, delay_steps)
+        return Trial(0, self.seconds, (Push(*self.push),), self.terrain, delay_steps)
 
 
 def main(config: RenderConfig) -> None:

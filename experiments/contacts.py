@@ -15,11 +15,11 @@ import numpy as np
 from cassie_mjx import cli
 from cassie_mjx.agents.heuristic import HeuristicAgent
 from cassie_mjx.configuration.values import Checked, Range
-from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.envs.termination import fallen
+from cassie_mjx.evaluation.pushes import DIRECTIONS
+from cassie_mjx.evaluation.setup import LIMIT_PHASES
 from cassie_mjx.evaluation.steady import steady, walk_on
-from cassie_mjx.evaluation.suites import DIRECTIONS, LIMIT_PHASES
-from cassie_mjx.evaluation.trial import Trial, placed, scenario_of
+from cassie_mjx.evaluation.trial import Push, Trial, placed, scenario_of
 from cassie_mjx.heuristic.config import CONTROLLERS
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
@@ -49,9 +49,9 @@ def trajectories(name: str, push_n: float, seconds: float) -> np.ndarray:
     agent = HeuristicAgent(name)
     starts = steady(agent, physics, LIMIT_PHASES)
     phases = range(len(LIMIT_PHASES))
-    trials = [Trial(k, seconds, push=(push_n * x, push_n * y)) for x, y in DIRECTIONS.values() for k in phases]
+    trials = [Trial(k, seconds, (Push(push_n * x, push_n * y),)) for x, y in DIRECTIONS.values() for k in phases]
     robots = placed(agent, starts, trials)
-    scenario = scenario_of(agent, trials, robots.physics, round(PUSH_S / physics.model.opt.timestep))
+    scenario = scenario_of(agent, trials, robots.physics, 1 / physics.model.opt.timestep)
     every, calls = (round(time / agent.period_s) for time in (CONTROL_PERIOD_S, seconds))
     walk = islice(walk_on(agent, physics, robots, scenario), 0, calls, every)
     qpos = np.array([moment.physics.qpos for moment in walk])

@@ -22,8 +22,8 @@ from cassie_mjx.agents.policy import PolicyAgent
 from cassie_mjx.configuration.values import Checked
 from cassie_mjx.envs.termination import fallen
 from cassie_mjx.evaluation import suites
+from cassie_mjx.evaluation.setup import EvalSetup
 from cassie_mjx.evaluation.steady import steady, walk_on
-from cassie_mjx.evaluation.suites import EvalSetup
 from cassie_mjx.motion.reference import RAMP_PER_S
 from cassie_mjx.physics.make import make_physics
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S

@@ -21,8 +21,8 @@ from cassie_mjx.agents.types import AgentState, Sensed
 from cassie_mjx.configuration.values import Checked, Seed
 from cassie_mjx.envs.termination import fallen
 from cassie_mjx.evaluation import suites
+from cassie_mjx.evaluation.setup import WALK_PHASES, EvalSetup
 from cassie_mjx.evaluation.simulate import act_steps, simulate
-from cassie_mjx.evaluation.suites import EvalSetup
 from cassie_mjx.evaluation.trial import Metric
 from cassie_mjx.motion.command import FASTEST, Command
 from cassie_mjx.motion.reference import RAMP_PER_S, mean_speed, nearest_sample, sample
@@ -96,8 +96,8 @@ def single_speeds(config: SpeedsConfig) -> list[tuple[dict[str, Any], PolicyAgen
 
 def keep(policy: PolicyAgent) -> list[dict[str, Any]]:
     """Figures of ten walks of 10 s at the policy's speed, the reference's own speed among them."""
-    commanded = Metric("commanded_mps", blending.mean_speed(policy.motion), "m/s", len(suites.WALK_PHASES))
-    return [figure._asdict() for figure in (commanded, *suites.walk(policy, EvalSetup()).figures)]
+    commanded = Metric("commanded_mps", blending.mean_speed(policy.motion), "m/s", len(WALK_PHASES))
+    return [figure._asdict() for figure in (commanded, *suites.walk(policy, EvalSetup()).metrics)]
 
 
 def profile(seed: int) -> np.ndarray:

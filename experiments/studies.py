@@ -41,6 +41,8 @@ FORMER = {
     "evaluate_every": "10",
     "ppo.final_action_std": "0.1",
     "ppo.actor_schedule": "constant",
+    "ppo.learning_rate_floor": "0.1",
+    "walk.start_velocity_mps": "0.5",
     "walk.symmetric": "false",
 }
 """The defaults until November 2026."""

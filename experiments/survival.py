@@ -14,15 +14,8 @@ from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
 from cassie_mjx.agents.types import Agent
 from cassie_mjx.evaluation.scheduler import run_trials
-from cassie_mjx.evaluation.suites import (
-    HIGHEST_TERRAIN_M,
-    LIMIT_PHASES,
-    LONGEST_DELAY_S,
-    TERRAIN_STEP_M,
-    WALK_PHASES,
-    WALK_S,
-    EvalSetup,
-)
+from cassie_mjx.evaluation.setup import LIMIT_PHASES, WALK_PHASES, WALK_S, EvalSetup
+from cassie_mjx.evaluation.suites import HIGHEST_TERRAIN_M, LONGEST_DELAY_S, TERRAIN_STEP_M
 from cassie_mjx.evaluation.trial import Trial
 
 DELAY_STEP_MS = 1.0
@@ -39,7 +32,7 @@ class SurvivalConfig(AgentConfig):
 
 
 def terrain(agent: Agent, setup: EvalSetup) -> list[dict[str, Any]]:
-    """The share of 8 starts that walk 10 s over the terrain z = h sin x, h from 0 to 0.4 m."""
+    """The share of 8 starts that walk 10 s over the terrain z = h sin x, h from 0 to 0.8 m."""
     levels = np.arange(0, HIGHEST_TERRAIN_M + TERRAIN_STEP_M / 2, TERRAIN_STEP_M).round(9).tolist()
     trials = [Trial(start, WALK_S, terrain=h) for h in levels for start in range(len(LIMIT_PHASES))]
     starts = setup.starts(agent, LIMIT_PHASES)
@@ -48,7 +41,7 @@ def terrain(agent: Agent, setup: EvalSetup) -> list[dict[str, Any]]:
 
 
 def delay(agent: Agent, setup: EvalSetup) -> list[dict[str, Any]]:
-    """The share of 10 starts that walk 10 s sensing what was up to 20 ms ago."""
+    """The share of 10 starts that walk 10 s sensing what was up to 40 ms ago."""
     physics = setup.physics(longest_delay_s=LONGEST_DELAY_S)
     step_ms = 1000 * physics.model.opt.timestep
     levels = np.arange(0, 1000 * LONGEST_DELAY_S + DELAY_STEP_MS / 2, DELAY_STEP_MS).tolist()

@@ -22,10 +22,10 @@ from cassie_mjx.agents.types import Agent, AgentState
 from cassie_mjx.configuration.values import Checked, Range
 from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.envs.termination import fallen
+from cassie_mjx.evaluation.pushes import DIRECTIONS
 from cassie_mjx.evaluation.scheduler import run_trials
 from cassie_mjx.evaluation.steady import begin, side_by_side, walk_on
-from cassie_mjx.evaluation.suites import DIRECTIONS
-from cassie_mjx.evaluation.trial import Trial
+from cassie_mjx.evaluation.trial import Push, Trial
 from cassie_mjx.heuristic.config import CONTROLLERS, ControllerConfig
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.robot.model import ModelConfig, load_model
@@ -147,7 +147,7 @@ def candidate(preset: str, x: np.ndarray) -> ControllerConfig:
 def trials(demand: Demand) -> list[tuple[str, Trial]]:
     """What a candidate goes through, each with its kind; a trial's start is the eighth of the stride."""
     pushes = [
-        (kind, Trial(phase, PUSH_S + AFTER_PUSH_S, push=(force * forward, force * left)))
+        (kind, Trial(phase, PUSH_S + AFTER_PUSH_S, (Push(force * forward, force * left),)))
         for kind, (forward, left) in DIRECTIONS.items()
         if kind in PHASES
         for phase in PHASES[kind]

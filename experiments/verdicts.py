@@ -16,8 +16,10 @@ import numpy as np
 from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
 from cassie_mjx.agents.types import Agent
+from cassie_mjx.evaluation.pushes import pushed, towards
 from cassie_mjx.evaluation.scheduler import run_trials
-from cassie_mjx.evaluation.suites import LIMIT_PHASES, LONGEST_DELAY_S, WALK_S, EvalSetup, pushed, towards
+from cassie_mjx.evaluation.setup import LIMIT_PHASES, WALK_S, EvalSetup
+from cassie_mjx.evaluation.suites import LONGEST_DELAY_S
 from cassie_mjx.evaluation.trial import Trial
 from cassie_mjx.physics.make import ENGINES
 

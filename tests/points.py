@@ -33,10 +33,11 @@ class _Points:
     def advance(self, state, target, scenario, n_steps):
         xp, dt = namespace(state.qpos), self.model.opt.timestep
         self.flown += n_steps * len(target)
-        pushed = (scenario.push_stop - state.step).clip(0, n_steps)
         step = state.step + np.int32(n_steps)
+        first, last = xp.maximum(scenario.push_start.T, state.step), xp.minimum(scenario.push_stop.T, step)
+        gained = ((last - first).clip(0).T[..., None] * dt * scenario.push).sum(axis=1)
         t = step * dt
-        qvel = xp.concatenate([state.qvel[:, :3] + scenario.push * (pushed * dt)[:, None], state.qvel[:, 3:]], 1)
+        qvel = xp.concatenate([state.qvel[:, :3] + gained, state.qvel[:, 3:]], 1)
         down = self.falls(state.qpos[:, -1], qvel[:, :3], t, scenario)
         x, y, z = self.pull * t**2 / 2, state.qpos[:, 1], 0.9 - 0.4 * down
         qpos = xp.concatenate([xp.stack([x, y, z], 1), state.qpos[:, 3:]], 1)

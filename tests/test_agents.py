@@ -18,8 +18,8 @@ from cassie_mjx.agents.types import Sensed
 from cassie_mjx.evaluation import film, returns
 from cassie_mjx.evaluation.returns import agent_returns
 from cassie_mjx.evaluation.scheduler import run_trials
+from cassie_mjx.evaluation.setup import WALK_PHASES
 from cassie_mjx.evaluation.steady import steady
-from cassie_mjx.evaluation.suites import WALK_PHASES
 from cassie_mjx.evaluation.trial import Trial
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.native import NativePhysics

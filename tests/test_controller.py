@@ -12,10 +12,11 @@ from cassie_mjx.agents.heuristic import HeuristicAgent
 from cassie_mjx.agents.types import sense
 from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.envs.termination import fallen
+from cassie_mjx.evaluation.pushes import DIRECTIONS
 from cassie_mjx.evaluation.scheduler import run_trials
+from cassie_mjx.evaluation.setup import LIMIT_PHASES, WALK_S
 from cassie_mjx.evaluation.steady import begin, steady, walk_on
-from cassie_mjx.evaluation.suites import DIRECTIONS, LIMIT_PHASES, WALK_S
-from cassie_mjx.evaluation.trial import AFTER_PUSH_S, Trial
+from cassie_mjx.evaluation.trial import AFTER_PUSH_S, Push, Trial
 from cassie_mjx.heuristic import law
 from cassie_mjx.heuristic.config import COMPLIANT, CONTROLLERS, STIFF
 from cassie_mjx.heuristic.kinematics import inverse_kinematics, level_foot
@@ -189,8 +190,8 @@ def test_measured_limits_are_those_required(name):
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_survives_the_pushes_required(physics, name):
     agent, seconds = HeuristicAgent(name), PUSH_S + AFTER_PUSH_S
-    pushes = [(force * x, force * y) for force, (x, y) in zip(REQUIRED[name][0], DIRECTIONS.values(), strict=True)]
-    trials = [Trial(k, seconds, push=push) for k in range(len(LIMIT_PHASES)) for push in pushes]
+    pushes = [Push(force * x, force * y) for force, (x, y) in zip(REQUIRED[name][0], DIRECTIONS.values(), strict=True)]
+    trials = [Trial(k, seconds, pushes=(push,)) for k in range(len(LIMIT_PHASES)) for push in pushes]
     assert not run_trials(agent, physics, steady(agent, physics, LIMIT_PHASES), trials).fell.any()
 
 

@@ -22,10 +22,10 @@ from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_mjx_model, lo
 from cassie_mjx.training import divergence
 
 CONFIG = PPOConfig(num_robots=2, num_steps=4, minibatch_size=8, hidden_sizes=(16,))
-PUSH = replace(Scenario.nominal(2), push=np.full((2, 3), 50.0), push_stop=np.full(2, 1000, np.int32))
+PUSH = replace(Scenario.nominal(2), push=np.full((2, 1, 3), 50.0), push_stop=np.full((2, 1), 1000, np.int32))
 # Begins and ends within the third control step, which is physics steps 32 to 47.
 HILL = replace(Scenario.nominal(2), ground=np.full(2, 0.1))
-SHORT_PUSH = replace(PUSH, push_start=np.full(2, 37, np.int32), push_stop=np.full(2, 42, np.int32))
+SHORT_PUSH = replace(PUSH, push_start=np.full((2, 1), 37, np.int32), push_stop=np.full((2, 1), 42, np.int32))
 
 
 @pytest.fixture
@@ -56,8 +56,8 @@ def stepped(folder):
     data.qpos[:], data.qvel[:] = before["qpos"], before["qvel"]
     data.qacc_warmstart[:], data.ctrl[:] = before["qacc_warmstart"], before["target"]
     for step in range(before["step"], before["step"] + before["n_steps"]):
-        pushed = before["push_start"] <= step < before["push_stop"]
-        data.body("cassie-pelvis").xfrc_applied[:3] = before["push"] * pushed
+        pushed = (before["push_start"] <= step) & (step < before["push_stop"])
+        data.body("cassie-pelvis").xfrc_applied[:3] = pushed @ before["push"]
         mujoco.mj_step(model, data)
     return data
 

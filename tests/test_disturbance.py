@@ -45,11 +45,12 @@ def assert_same(these, those):
 def test_draws_are_uniform_over_their_ranges():
     robots = 20_000
     drawn = jax.tree.map(np.asarray, draw_scenario(ALL, jax.random.key(0), robots, HZ))
-    force = np.linalg.norm(drawn.push, axis=1)
+    push = drawn.push[:, 0]
+    force = np.linalg.norm(push, axis=1)
     np.testing.assert_allclose([force.min(), force.mean(), force.max()], [0, 100, 200], atol=1.5)
     # The second moments of a horizontal vector of uniform direction: E F² / 2 = 200² / 6 each, uncorrelated.
-    np.testing.assert_allclose(drawn.push.T @ drawn.push / robots, np.diag([200**2 / 6] * 2 + [0]), atol=150)
-    np.testing.assert_allclose(drawn.push.mean(axis=0), 0, atol=3)
+    np.testing.assert_allclose(push.T @ push / robots, np.diag([200**2 / 6] * 2 + [0]), atol=150)
+    np.testing.assert_allclose(push.mean(axis=0), 0, atol=3)
     # 1 s is 31.25 control steps.
     values, counts = np.unique(drawn.push_start, return_counts=True)
     np.testing.assert_array_equal(values, np.arange(33) * SUBSTEPS)
@@ -79,9 +80,9 @@ def test_what_is_not_asked_for_does_not_act(name):
 
 def test_a_push_over_is_followed_by_the_next_and_an_episode_over_by_all_anew():
     present = Scenario(
-        push=jnp.ones((4, 3)),
-        push_start=jnp.array([64, 96, 64, 96]),
-        push_stop=jnp.array([264, 296, 264, 296]),
+        push=jnp.ones((4, 1, 3)),
+        push_start=jnp.array([[64], [96], [64], [96]]),
+        push_stop=jnp.array([[264], [296], [264], [296]]),
         delay=jnp.full(4, 7),
         ground=jnp.full(4, 0.5),
         kd_scale=jnp.full(4, 0.3),
@@ -93,7 +94,7 @@ def test_a_push_over_is_followed_by_the_next_and_an_episode_over_by_all_anew():
     np.testing.assert_array_equal(now.delay, [7, 7, *fresh.delay[2:]])
     np.testing.assert_array_equal(now.ground, [0.5, 0.5, *fresh.ground[2:]])
     np.testing.assert_array_equal(now.push, [fresh.push[0], present.push[1], *fresh.push[2:]])
-    np.testing.assert_array_equal(now.push_start, [288 + fresh.push_start[0], 96, *fresh.push_start[2:]])
+    np.testing.assert_array_equal(now.push_start, [288 + fresh.push_start[0], [96], *fresh.push_start[2:]])
     np.testing.assert_array_equal(now.push_stop, now.push_start + 200)
 
 
@@ -108,12 +109,12 @@ def test_pushes_act_when_and_as_drawn_one_after_the_other(hills, motion):
         target = np.asarray(target, float)[:, 7:]
         assert not np.asarray(state.terminated).any()
         pushes.append(before.scenario)
-        over = before.scenario.push_stop <= SUBSTEPS * (i + 1)
+        over = before.scenario.push_stop[:, 0] <= SUBSTEPS * (i + 1)
         assert_same(state.scenario.push[~over], before.scenario.push[~over])
-        assert (state.scenario.push[over] != before.scenario.push[over]).any(axis=1).all()
+        assert (state.scenario.push[over] != before.scenario.push[over]).any(axis=(1, 2)).all()
         assert (state.scenario.push_start[over] - SUBSTEPS * (i + 1) <= SUBSTEPS).all()
     # 0.2 s are 6.25 control steps, so that the second push begins within 8 or 9 of them.
-    assert all((pushes[-1].push != pushes[0].push).any(axis=1))
+    assert all((pushes[-1].push != pushes[0].push).any(axis=(1, 2)))
     assert (pushes[-1].push_start >= 7 * SUBSTEPS).all()
 
 
@@ -137,7 +138,7 @@ def test_a_step_is_the_physics_under_the_drawn_disturbance(hills, motion):
 
 
 def test_robots_start_on_a_crest_and_are_judged_from_there(hills, motion):
-    env = make(hills, motion, ScenarioConfig(terrain_m=0.3))
+    env = make(hills, motion, ScenarioConfig(terrain_m=0.3), start_velocity_mps=0)
     state = env.reset(jax.random.key(10))
     height = state.scenario.ground
     phase = np.asarray(state.motion.time)

@@ -184,16 +184,20 @@ def test_new_speeds_are_commanded_and_reached_slowly(native, motion):
 
 
 def test_robots_start_at_velocities_of_their_own(native, motion):
-    env = WalkEnv(native, motion, WalkConfig(start_velocity_mps=0.5, episode_steps=1, symmetric=False), 256)
+    env = WalkEnv(native, motion, WalkConfig(start_velocity_mps=1.2, episode_steps=1, symmetric=False), 256)
     first = env.reset(jax.random.key(7))
     for state in (first, env.step(first, np.zeros((256, 10)), jax.random.key(8))):
         extra = state.physics.qvel - motion.qvel[np.asarray(state.motion.time)]
         np.testing.assert_allclose(extra[:, 2:], 0, atol=1e-6)
         size = np.linalg.norm(extra[:, :2], axis=1)
-        assert 0.45 < size.max() <= 0.5
-        assert abs(size.mean() - 0.25) < 0.03
-        assert np.abs(extra[:, :2].mean(axis=0)).max() < 0.05, "any direction is as likely as its opposite"
+        assert 1.1 < size.max() <= 1.2
+        assert abs(size.mean() - 0.4) < 0.05, "the mean of u^2 is a third"
+        assert np.abs(extra[:, :2].mean(axis=0)).max() < 0.08, "any direction is as likely as its opposite"
         np.testing.assert_allclose(state.observation[:, 6:8], state.physics.qvel[:, :2], atol=1e-6)
+        # sqrt(1 m / g) = 0.32 s: the capture point is that of the reference.
+        aside = state.physics.qpos[:, :2] - motion.qpos[np.asarray(state.motion.time)][:, :2]
+        np.testing.assert_allclose(aside, -0.3193 * extra[:, :2], atol=1e-3)
+        np.testing.assert_allclose(state.privileged[:, 0], aside[:, 0] / 0.25, atol=1e-5)
 
 
 def test_robots_start_beside_the_line_as_far_as_the_task_says(native, motion):
@@ -249,7 +253,7 @@ def test_episodes_end_by_falls_low_rewards_and_length(native, motion):
 
 
 def test_robots_far_from_the_reference_end_their_episode_and_the_critic_is_told_how_far(native, motion):
-    env = WalkEnv(native, motion, WalkConfig(min_reward=None, max_position_error_m=0.3), ROBOTS)
+    env = WalkEnv(native, motion, WalkConfig(min_reward=None, max_position_error_m=0.3, start_velocity_mps=0), ROBOTS)
     state = env.reset_at(jnp.zeros(ROBOTS, jnp.int32), Scenario.nominal(ROBOTS))
     np.testing.assert_array_equal(state.privileged, np.zeros((ROBOTS, 1)))
     moved = np.linspace(-0.6, 0.6, ROBOTS)
@@ -297,6 +301,8 @@ def test_bad_configurations():
         WalkConfig(max_position_error_m=0)
     with pytest.raises(ValueError, match="start_velocity_mps=-1 must be from 0 to 3"):
         WalkConfig(start_velocity_mps=-1)
+    with pytest.raises(ValueError, match=r"start_velocity_mps=1.6 .* 0.51 m behind .* must be less than 1.56"):
+        WalkConfig(start_velocity_mps=1.6)
     with pytest.raises(ValueError, match="start_offset_m=4 must be from 0 to 3"):
         WalkConfig(start_offset_m=4)
     with pytest.raises(ValueError, match=r"command_s=0 must be from 0\.032 to 3,600, or null"):

@@ -9,7 +9,7 @@ import pytest
 from cassie_mjx import cli, evaluate
 from cassie_mjx.evaluate import EvaluateConfig
 from cassie_mjx.evaluation import suites
-from cassie_mjx.evaluation.suites import SuiteResult
+from cassie_mjx.evaluation.setup import SuiteResult
 from cassie_mjx.evaluation.trial import Metric
 
 
@@ -45,7 +45,7 @@ def test_cells_and_the_policys_own_provenance_go_to_the_file(tmp_path, monkeypat
 @pytest.mark.parametrize(
     ("argument", "sentence"),
     [
-        ("suite=jump", "suite=jump is not known; choose one of walk, delay, terrain, push, map, all"),
+        ("suite=jump", "suite=jump is not known; choose one of walk, delay, terrain, push, map, forces, all"),
         ("physics=warp", "physics=warp is not known; choose one of native, mjx"),
         ("velocity=2", "'velocity' is not a key; the keys are policy, speed, schedule, suite, long, physics, out"),
     ],

@@ -6,13 +6,13 @@ from acting import Swaying
 
 from cassie_mjx.evaluation.film import film
 from cassie_mjx.evaluation.scheduler import run_trials
-from cassie_mjx.evaluation.trial import Trial, placed
+from cassie_mjx.evaluation.trial import Push, Trial, placed
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.robot.model import ModelConfig, load_model
 
 
 @pytest.mark.parametrize(
-    "disturbed", [{}, {"push": (60.0, -20.0)}, {"delay": 7}, {"terrain": 0.05}, {"terrain": 0.05, "delay": 3}]
+    "disturbed", [{}, {"pushes": (Push(60.0, -20.0),)}, {"delay": 7}, {"terrain": 0.05}, {"terrain": 0.05, "delay": 3}]
 )
 def test_a_film_shows_the_trial_that_is_measured(disturbed):
     """Thirty control steps, filmed at 100 frames a second, end in the state that `run_trials` measures."""
@@ -39,7 +39,7 @@ def test_frames_come_at_their_times_whatever_the_rate(fps):
 
 
 def test_a_push_acts_for_a_fifth_of_a_second_from_the_next_act_on():
-    trial = Trial(0, 0.4, push=(0.0, 80.0))
+    trial = Trial(0, 0.4, pushes=(Push(0.0, 80.0),))
     shots = list(film(Swaying(), trial, push_at=0.05, fps=1000))
     pushed = [shot.time_s for shot in shots if shot.push_w.any()]
     np.testing.assert_allclose([pushed[0], pushed[-1]], [0.064, 0.263])

@@ -20,7 +20,7 @@ from cassie_mjx.agents.shipped import shipped_policies
 from cassie_mjx.cli.origin import is_ours
 from cassie_mjx.evaluate import EvaluateConfig
 from cassie_mjx.evaluation.draw import FILM, write_video
-from cassie_mjx.evaluation.suites import SuiteResult
+from cassie_mjx.evaluation.setup import SuiteResult
 from cassie_mjx.evaluation.trial import Metric
 from cassie_mjx.export import POLICY, ExportConfig
 from cassie_mjx.files import archive, atomic

@@ -45,9 +45,9 @@ def states(native, standing_qpos):
     targets = cassie.STANDING_TARGET + 0.1 * rng.normal(size=(BATCH, cassie.NU))
     scenario = replace(
         Scenario.nominal(BATCH),
-        push=rng.uniform(-80, 80, (BATCH, 3)),
-        push_start=np.arange(BATCH, dtype=np.int32) * 3,
-        push_stop=np.arange(BATCH, dtype=np.int32) * 3 + 25,
+        push=rng.uniform(-80, 80, (BATCH, 1, 3)),
+        push_start=np.arange(BATCH, dtype=np.int32)[:, None] * 3,
+        push_stop=np.arange(BATCH, dtype=np.int32)[:, None] * 3 + 25,
         delay=np.arange(BATCH, dtype=np.int32),
     )
     return np.tile(standing_qpos, (BATCH, 1)), qvel, targets, scenario

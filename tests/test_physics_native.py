@@ -27,6 +27,10 @@ def steps(*values):
     return np.array(values, np.int32)
 
 
+def pushes(*counts):
+    return steps(*counts)[:, None]
+
+
 def test_standing_stays_up_with_its_loops_closed(model, standing_qpos):
     physics = NativePhysics(model)
     state = physics.init(standing_qpos[None], np.zeros((1, cassie.NV)))
@@ -57,7 +61,10 @@ def test_pieces_equal_the_whole_and_inputs_are_kept(model, standing_qpos):
     physics = NativePhysics(model)
     state, targets = start(physics, standing_qpos, 4)
     scenario = replace(
-        Scenario.nominal(4), push=np.full((4, 3), 50.0), push_start=steps(0, 7, 20, 90), push_stop=steps(5, 30, 40, 99)
+        Scenario.nominal(4),
+        push=np.full((4, 1, 3), 50.0),
+        push_start=pushes(0, 7, 20, 90),
+        push_stop=pushes(5, 30, 40, 99),
     )
     before = state.qpos.copy()
     whole = physics.advance(state, targets, scenario, 64)
@@ -74,7 +81,10 @@ def test_both_paths_give_the_same_trajectory(model, standing_qpos, kd_scale):
     a, targets = start(held, standing_qpos, 5)
     b, _ = start(stepwise, standing_qpos, 5)
     scenario = replace(
-        Scenario.nominal(5), push=np.full((5, 3), 80.0), push_start=steps(0, 3, 10, 64, 70), push_stop=steps(*[90] * 5)
+        Scenario.nominal(5),
+        push=np.full((5, 1, 3), 80.0),
+        push_start=pushes(0, 3, 10, 64, 70),
+        push_stop=pushes(*[90] * 5),
     )
     scenario = replace(scenario, kd_scale=np.full(5, kd_scale))
     for _ in range(4):
@@ -95,7 +105,10 @@ def test_a_push_of_a_fifth_of_a_second_gives_its_momentum(physics_hz, standing_q
     duration = round(0.2 * physics_hz)
     force = np.array([[100.0, -40.0, 20.0], [0.0, 60.0, 0.0]])
     scenario = replace(
-        Scenario.nominal(2), push=force, push_start=steps(13, 57), push_stop=steps(13 + duration, 57 + duration)
+        Scenario.nominal(2),
+        push=force[:, None],
+        push_start=pushes(13, 57),
+        push_stop=pushes(13 + duration, 57 + duration),
     )
     state = physics.advance(state, np.tile(qpos[cassie.ACTIVE_QPOS], (2, 1)), scenario, physics_hz // 2)
     data = mujoco.MjData(model)
@@ -105,6 +118,19 @@ def test_a_push_of_a_fifth_of_a_second_gives_its_momentum(physics_hz, standing_q
         mujoco.mj_subtreeVel(model, data)
         # Damping and loop forces act between bodies, so only the push changes the momentum.
         np.testing.assert_allclose(33.312 * data.subtree_linvel[0], force[i] * 0.2, atol=2e-2)
+
+
+def test_pushes_at_the_same_time_add_up(model, standing_qpos):
+    physics = NativePhysics(model)
+    state, targets = start(physics, standing_qpos, 1)
+    two = Scenario.nominal(1, 2, push=[[30.0, 0, 0], [30.0, 50.0, 0]], push_start=[0, 20], push_stop=[40, 60])
+    moved = physics.advance(state, targets, two, 80)
+    piece = state
+    for force, first, last in (([30.0, 0, 0], 0, 20), ([60.0, 50.0, 0], 20, 40), ([30.0, 50.0, 0], 40, 60)):
+        one = Scenario.nominal(1, push=force, push_start=first, push_stop=last)
+        piece = physics.advance(piece, targets, one, 20)
+    piece = physics.advance(piece, targets, Scenario.nominal(1), 20)
+    np.testing.assert_array_equal(moved.qpos, piece.qpos)
 
 
 def test_delayed_pd_is_the_pd_law_on_old_states(model, standing_qpos):
@@ -199,7 +225,7 @@ def test_bad_input_gets_one_sentence(model, standing_qpos):
     targets = np.tile(cassie.STANDING_TARGET, (2, 1))
     with pytest.raises(ValueError, match=r"target has shape \(3, 10\); for 2 robots it must be \(2, 10\)"):
         physics.advance(state, np.zeros((3, 10)), Scenario.nominal(2), 1)
-    with pytest.raises(ValueError, match=r"scenario.push has shape \(5, 3\)"):
+    with pytest.raises(ValueError, match=r"scenario.push has shape \(5, 1, 3\)"):
         physics.advance(state, targets, Scenario.nominal(5), 1)
     late = replace(Scenario.nominal(2), delay=steps(0, 4))
     with pytest.raises(ValueError, match="delay of 4 physics steps .* 0 to 0; make it with max_delay=4"):

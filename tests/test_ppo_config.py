@@ -34,8 +34,8 @@ def test_parallel_and_massive_make_five_epochs(name):
         ({"target_kl": 0.0}, "target_kl=0.0 must be from 1e-06 to 100, or null."),
         ({"learning_rate_decay": 0.0}, "learning_rate_decay=0.0 must be from 0.01 to 1."),
         (
-            {"actor_schedule": "cosine"},
-            "actor_schedule=cosine is not known; choose one of constant, linear, late, exponential.",
+            {"actor_schedule": "late"},
+            "actor_schedule=late is not known; choose one of constant, linear, cosine, exponential.",
         ),
         ({"hidden_sizes": ()}, r"hidden_sizes=\[\] must be 1 to 64 widths."),
         ({"hidden_sizes": (256, 0)}, "hidden_sizes=256,0: each must be a whole number from 1 to 65,536."),

@@ -117,15 +117,15 @@ def test_same_key_same_bits():
         ("constant", 150, 1.0),
         ("linear", 50, 0.75),
         ("linear", 195, 0.1),  # 1 - 195/200 is below the floor
-        ("late", 100, 1.0),
-        ("late", 150, 0.5),
-        ("late", 195, 0.1),
+        ("cosine", 66, 1.0),
+        ("cosine", 400 / 3, 0.5),
+        ("cosine", 195, 0.1),
         ("exponential", 2, 0.9801),
         ("exponential", 300, 0.1),  # 0.99^300 = 0.049 is below the floor
     ],
 )
 def test_schedules(schedule, iteration, factor):
-    config = replace(CONFIG, iterations=200, actor_schedule=schedule, critic_schedule=schedule)
+    config = replace(CONFIG, iterations=200, actor_schedule=schedule, critic_schedule=schedule, learning_rate_floor=0.1)
     state = learner.init(jax.random.key(0), config, 5, 3, 2)
     state = state._replace(iteration=jnp.asarray(iteration), step_factor=jnp.asarray(0.5))
     np.testing.assert_allclose(learner.learning_rates(config, state), (3e-4 * factor * 0.5, 1e-3 * factor), rtol=1e-5)

@@ -13,7 +13,7 @@ from cassie_mjx.agents.shipped import shipped_policies
 from cassie_mjx.control.network import Network
 from cassie_mjx.evaluation import returns
 from cassie_mjx.evaluation.returns import CHOOSING_PHASES, ReturnRecord, walk_returns
-from cassie_mjx.evaluation.suites import LIMIT_PHASES, WALK_PHASES
+from cassie_mjx.evaluation.setup import LIMIT_PHASES, WALK_PHASES
 from cassie_mjx.motion.reference import nearest_sample, sample
 from cassie_mjx.physics.make import make_physics
 from cassie_mjx.physics.types import PhysicsState, Scenario

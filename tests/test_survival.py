@@ -8,7 +8,7 @@ import pytest
 from points import Still, points
 
 from cassie_mjx.agents.make import make_agent
-from cassie_mjx.evaluation.suites import EvalSetup
+from cassie_mjx.evaluation.setup import EvalSetup
 from experiments import survival
 from experiments.survival import SurvivalConfig, main, rows
 
@@ -31,7 +31,13 @@ def test_a_share_is_that_of_the_starts_of_a_level():
 
 def test_levels_from_none_on_are_walked(monkeypatch, tmp_path):
     for name, value in {
-        **{"WALK_S": 0.5, "HIGHEST_TERRAIN_M": 0.4, "TERRAIN_STEP_M": 0.4, "DELAY_STEP_MS": 20.0},
+        **{
+            "WALK_S": 0.5,
+            "HIGHEST_TERRAIN_M": 0.4,
+            "TERRAIN_STEP_M": 0.4,
+            "LONGEST_DELAY_S": 0.02,
+            "DELAY_STEP_MS": 20.0,
+        },
         **{"LIMIT_PHASES": np.zeros(1), "WALK_PHASES": np.zeros(2)},
     }.items():
         monkeypatch.setattr(survival, name, value)
@@ -58,10 +64,10 @@ def test_each_level_disturbs_as_it_says(monkeypatch):
     monkeypatch.setattr(survival, "run_trials", run_trials)
     agent, setting = Still(), Standing()
     heights = [row["level"] for row in survival.terrain(agent, setting)]
-    assert heights == [pytest.approx(k / 100) for k in range(41)]
+    assert heights == [pytest.approx(k / 100) for k in range(81)]
     assert [(trial.start, trial.terrain) for trial in flown] == [(k, h) for h in heights for k in range(8)]
     flown.clear()
-    assert [row["level"] for row in survival.delay(agent, setting)] == list(range(21))
+    assert [row["level"] for row in survival.delay(agent, setting)] == list(range(41))
     # 2 steps a millisecond at 2 kHz.
-    assert [(trial.start, trial.delay) for trial in flown] == [(k, 2 * ms) for ms in range(21) for k in range(10)]
+    assert [(trial.start, trial.delay) for trial in flown] == [(k, 2 * ms) for ms in range(41) for k in range(10)]
     assert {trial.seconds for trial in flown} == {10}

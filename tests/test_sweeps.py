@@ -12,7 +12,7 @@ from cassie_mjx.agents.types import AgentState
 from cassie_mjx.envs.termination import fallen
 from cassie_mjx.evaluation.record import motor_effort
 from cassie_mjx.evaluation.scheduler import LimitSearch, run, run_trials
-from cassie_mjx.evaluation.trial import Trial, moved, placed, scenario_of
+from cassie_mjx.evaluation.trial import Push, Trial, moved, placed, scenario_of
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import PhysicsState, Scenario
 from cassie_mjx.robot import cassie
@@ -72,7 +72,7 @@ def test_limits_do_not_depend_on_the_number_of_lanes(engine, lanes):
         return down & (t > 0.5)
 
     physics = engine(falls=falls)
-    search = LimitSearch(lambda g, k: Trial(g, 1.0, push=(10.0 * (k + 1), 0.0)), groups=4, levels=15)
+    search = LimitSearch(lambda g, k: Trial(g, 1.0, pushes=(Push(10.0 * (k + 1), 0.0),)), groups=4, levels=15)
     run(Still(), physics, Still().start(physics, np.zeros(4)), search, lanes)
     np.testing.assert_array_equal(search.limit, [9, 6, 15, 0])
 
@@ -107,13 +107,13 @@ def test_a_push_lasts_a_fifth_of_a_second_in_the_heading_frame(hertz):
     starts = agent.start(physics, np.zeros(3))
     starts.physics.qpos[:, 3:7] = [turned(angle) for angle in yaw]
     starts.physics.step[:] = (0, 128, 640)
-    trials = [Trial(k, 1.0, push=(100.0, 30.0)) for k in range(3)]
-    scenario = scenario_of(agent, trials, starts.physics, round(0.2 * hertz))
+    trials = [Trial(k, 1.0, pushes=(Push(100.0, 30.0),)) for k in range(3)]
+    scenario = scenario_of(agent, trials, starts.physics, hertz)
     np.testing.assert_array_equal(scenario.push_stop - scenario.push_start, round(0.2 * hertz))
-    np.testing.assert_array_equal(scenario.push_start, starts.physics.step)
-    np.testing.assert_allclose(scenario.push[0], [100, 30, 0], atol=1e-12)
-    np.testing.assert_allclose(scenario.push[1], [50 - 15 * 3**0.5, 50 * 3**0.5 + 15, 0], atol=1e-12)
-    np.testing.assert_allclose(scenario.push[2], [30, -100, 0], atol=1e-12)
+    np.testing.assert_array_equal(scenario.push_start[:, 0], starts.physics.step)
+    np.testing.assert_allclose(scenario.push[0, 0], [100, 30, 0], atol=1e-12)
+    np.testing.assert_allclose(scenario.push[1, 0], [50 - 15 * 3**0.5, 50 * 3**0.5 + 15, 0], atol=1e-12)
+    np.testing.assert_allclose(scenario.push[2, 0], [30, -100, 0], atol=1e-12)
     impulses = []
 
     def watched(start, velocity, t, scenario):
@@ -122,13 +122,13 @@ def test_a_push_lasts_a_fifth_of_a_second_in_the_heading_frame(hertz):
 
     physics.falls = watched
     run_trials(agent, physics, starts, trials)
-    np.testing.assert_allclose(impulses[-1], 0.2 * scenario.push, atol=1e-9)
+    np.testing.assert_allclose(impulses[-1], 0.2 * scenario.push[:, 0], atol=1e-9)
 
 
 def test_pushed_robots_are_pushed_for_400_steps_of_mujoco(model, standing_qpos):
     physics = NativePhysics(model)
     state = physics.init(standing_qpos[None], np.zeros((1, cassie.NV)))
-    scenario = scenario_of(Still(), [Trial(0, 1.0, push=(50.0, 0.0))], state, 400)
+    scenario = scenario_of(Still(), [Trial(0, 1.0, pushes=(Push(50.0, 0.0),))], state, 2000)
     shorter = replace(scenario, push_stop=scenario.push_stop - 1)
     targets = cassie.STANDING_TARGET[None]
     before = physics.advance(state, targets, scenario, 399)

@@ -20,7 +20,7 @@ from cassie_mjx.control.law import ControlLaw, second_step
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.evaluation.returns import CHOOSING_PHASES, agent_returns
-from cassie_mjx.evaluation.suites import EvalSetup
+from cassie_mjx.evaluation.setup import EvalSetup
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import stretch
 from cassie_mjx.physics.make import make_physics
@@ -149,7 +149,7 @@ def test_a_mirrored_robot_under_mirrored_targets_moves_as_in_the_mirror(motion, 
     physics, rng = NativePhysics(symmetric_model(tmp_path)), np.random.default_rng(0)
     qvel = motion.qvel + 0.1 * rng.normal(size=motion.qvel.shape)
     targets = motion.qpos[:, cassie.ACTIVE_QPOS] + 0.1 * rng.normal(size=(22, cassie.NU))
-    push = rng.uniform(-80, 80, (22, 3))
+    push = rng.uniform(-80, 80, (22, 1, 3))
     robots = physics.init(motion.qpos, qvel)
     images = physics.init(cassie.mirror_qpos(motion.qpos), cassie.mirror_qvel(qvel))
     for steps in (1, 64):

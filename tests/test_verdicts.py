@@ -15,7 +15,10 @@ def test_the_grid_has_its_cells():
     assert sum(sizes.values()) == 528
     assert {trial.delay for group in kinds["delay"].trials for trial in group} == set(range(4, 41, 4))
     for subset in kinds.values():
-        strengths = [[np.hypot(*t.push) + t.terrain + t.delay for t in group] for group in subset.trials]
+        strengths = [
+            [sum(np.hypot(*push[:2]) for push in t.pushes) + t.terrain + t.delay for t in group]
+            for group in subset.trials
+        ]
         assert (np.diff(strengths, axis=1) > 0).all()
 
 
@@ -51,4 +54,8 @@ def test_the_file_lists_what_differs(tmp_path, monkeypatch):
     ]
     assert content["rows"][-1]["differ_at_border"] == 1
     (differing,) = content["differing"]
-    assert (differing["survived_on"], differing["at_border"], differing["trial"]["push"]) == ("native", True, [60, 0])
+    assert (differing["survived_on"], differing["at_border"], differing["trial"]["pushes"]) == (
+        "native",
+        True,
+        [[60, 0, 0, 0.2]],
+    )

@@ -12,6 +12,10 @@ from cassie_mjx.envs.scenario import ScenarioConfig
 from cassie_mjx.motion.reference import ReferenceMotion, steps_mirror
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
 
+CAPTURE_S = 0.32
+"""sqrt(h / g) of an inverted pendulum of h = 1 m, s: how far it goes on, per m/s, until it rests over its foot
+(the capture point of Pratt et al., Humanoids 2006)."""
+
 
 @dataclass(frozen=True)
 class WalkConfig(Checked):
@@ -32,11 +36,13 @@ class WalkConfig(Checked):
     Without it robots with a fast command learn to do without the position's share of the reward."""
     episode_steps: Annotated[int, Range(1, 2**30)] = 300
     """Control steps of a full episode; 300 are 9.6 s."""
-    start_velocity_mps: Annotated[float, Range(0, 3)] = 0.5
+    start_velocity_mps: Annotated[float, Range(0, 3)] = 1.2
     """How far from the reference's the pelvis' horizontal velocity may be as an episode begins, m/s, in any direction.
 
-    It is drawn for each episode. Robots learn from it to come back to their commanded speed, sooner than by
-    losing it themselves; 0 starts every episode on the reference, as in the paper."""
+    It is drawn for each episode, small ones most often: v = v_max u^2, u uniform from 0 to 1. Robots learn from it to
+    come back to their commanded speed, sooner than by losing it themselves, and to bear pushes. One that is too fast by
+    v starts v sqrt(h / g) behind the reference, where it would come to rest on it; 0 starts every episode on the
+    reference, as in the paper."""
     start_offset_m: Annotated[float, Range(0, 3)] = 0.0
     """How far to the left or right of the reference's line an episode may begin, m. It is drawn for each episode."""
     command_s: Annotated[float, Range(CONTROL_PERIOD_S, 3600)] | None = 4.0
@@ -50,6 +56,17 @@ class WalkConfig(Checked):
     the second step of the reference motion is the mirror image of its first."""
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     """What robots are put through besides walking."""
+
+    def __post_init__(self) -> None:
+        """Check every value, and that no episode ends as it begins."""
+        super().__post_init__()
+        behind, limit = CAPTURE_S * self.start_velocity_mps, self.max_position_error_m
+        if limit is not None and behind >= limit:
+            raise ValueError(
+                f"start_velocity_mps={self.start_velocity_mps:g} starts robots up to {behind:.2g} m behind the "
+                f"reference, where max_position_error_m={limit:g} ends their episode; "
+                f"it must be less than {limit / CAPTURE_S:.3g}."
+            )
 
     def law(self, motion: ReferenceMotion) -> ControlLaw:
         """The law of a policy that imitates `motion`.

@@ -64,10 +64,8 @@ class PlaygroundData(WalkState):
     @property
     def xfrc_applied(self) -> jax.Array:
         """The push, [26, 6], N, world frame."""
-        scenario, step = self.scenario, self.physics.step[0]
-        pushed = (scenario.push_start[0] <= step) & (step < scenario.push_stop[0])
         forces = jnp.zeros((len(cassie.BODIES), 6))
-        return forces.at[cassie.PELVIS_BODY, :3].set(jnp.where(pushed, scenario.push[0], 0.0))
+        return forces.at[cassie.PELVIS_BODY, :3].set(self.scenario.force(self.physics.step)[0])
 
 
 def default_config(preset: str = "undisturbed") -> ConfigDict:

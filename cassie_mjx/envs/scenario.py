@@ -65,10 +65,10 @@ def draw_scenario(
     forward *= jnp.where(forward < 0, config.push_backward, 1)
     # A push starts with a control step: within one, it would cut the physics' calls of all robots in two.
     longest = math.ceil(config.push_pause_s / CONTROL_PERIOD_S)
-    start = jax.random.randint(pause_key, (robots,), 0, longest + 1) * steps_per_control(physics_hz)
+    start = jax.random.randint(pause_key, (robots, 1), 0, longest + 1) * steps_per_control(physics_hz)
     level = jax.random.randint(terrain_key, (robots,), 0, TERRAIN_HEIGHTS + 1)
     return Scenario(
-        push=force * jnp.stack([forward, left, jnp.zeros(robots)], axis=1),
+        push=(force * jnp.stack([forward, left, jnp.zeros(robots)], axis=1))[:, None],
         push_start=start,
         push_stop=start + round(PUSH_S * physics_hz),
         delay=jax.random.randint(delay_key, (robots,), 0, config.delay_steps(physics_hz) + 1),
@@ -92,7 +92,6 @@ def renew_scenario(
     """
     fresh = draw_scenario(config, key, len(step), physics_hz)
     fresh = replace(fresh, kd_scale=present.kd_scale)
-    pushed_again = replace(
-        present, push=fresh.push, push_start=step + fresh.push_start, push_stop=step + fresh.push_stop
-    )
-    return merge(ended, fresh, merge(present.push_stop <= step, pushed_again, present))
+    now = step[:, None]
+    pushed_again = replace(present, push=fresh.push, push_start=now + fresh.push_start, push_stop=now + fresh.push_stop)
+    return merge(ended, fresh, merge(present.push_stop[:, 0] <= step, pushed_again, present))

@@ -15,8 +15,8 @@ class StartOffset(NamedTuple):
 
     velocity: Array
     """What the pelvis' velocity along x and y is on top of the reference's, [B, 2], m/s."""
-    y: Array
-    """How far to the left of the reference the pelvis is, [B], m."""
+    position: Array
+    """How far ahead of the reference and to the left of it the pelvis is, [B, 2], m."""
 
 
 class Start(NamedTuple):
@@ -31,6 +31,8 @@ class Start(NamedTuple):
     """[B, O]."""
     sensing: Array
     """Carry of the observation, [B, H - 1, F]."""
+    privileged: Array
+    """[B, 1]."""
 
 
 class StepOutcome(NamedTuple):

@@ -15,7 +15,7 @@ from cassie_mjx.control.command import MotionState
 from cassie_mjx.control.law import target
 from cassie_mjx.control.observation import Seen
 from cassie_mjx.envs import command, reward
-from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.envs.config import CAPTURE_S, WalkConfig
 from cassie_mjx.envs.scenario import draw_scenario, renew_scenario
 from cassie_mjx.envs.termination import Ends, ends
 from cassie_mjx.envs.types import Start, StartOffset, StepOutcome, WalkState
@@ -107,7 +107,7 @@ class WalkEnv:
         """
         robots = len(time)
         factor = np.linspace(*self.speeds, robots) if factor is None else factor
-        offset = StartOffset(np.zeros((robots, 2)), np.zeros(robots)) if offset is None else offset
+        offset = StartOffset(np.zeros((robots, 2)), np.zeros((robots, 2))) if offset is None else offset
         told = command.command_of(self.motion, jnp.asarray(factor, jnp.float32))
         start = self._start(jnp.asarray(time, jnp.int32), told, offset, scenario.ground, key)
         physics = self.physics.init(start.qpos, start.qvel)
@@ -120,8 +120,8 @@ class WalkEnv:
             sensing=start.sensing,
             observation=start.observation,
             final_observation=start.observation,
-            privileged=zeros[:, None],
-            final_privileged=zeros[:, None],
+            privileged=start.privileged,
+            final_privileged=start.privileged,
             reward=zeros,
             terminated=ended,
             truncated=ended,
@@ -164,11 +164,13 @@ class WalkEnv:
         time = jax.random.randint(key, (robots,), 0, self.samples)
         factor = command.draw_factor(jax.random.fold_in(key, _SPEED_KEY), robots, self.speeds)
         size_key, angle_key = jax.random.split(jax.random.fold_in(key, _VELOCITY_KEY))
-        size = jax.random.uniform(size_key, (robots, 1), maxval=self.config.start_velocity_mps)
+        size = self.config.start_velocity_mps * jnp.square(jax.random.uniform(size_key, (robots, 1)))
         angle = jax.random.uniform(angle_key, (robots,), maxval=2 * jnp.pi)
+        velocity = size * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
         limit = self.config.start_offset_m
         y = jax.random.uniform(jax.random.fold_in(key, _OFFSET_KEY), (robots,), minval=-limit, maxval=limit)
-        return time, factor, StartOffset(size * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1), y)
+        # xi = x + v sqrt(h / g) stays where it was.
+        return time, factor, StartOffset(velocity, jnp.stack([0 * y, y], axis=1) - CAPTURE_S * velocity)
 
     def _noise(self, key: jax.Array | None, robots: int) -> Array:
         """Noise on what one control step adds to the observation, [robots, F]."""
@@ -190,12 +192,12 @@ class WalkEnv:
     ) -> Start:
         state = command.start_motion(self.motion, time, told, ground)
         qpos, qvel = motions.reference(self.motion, state)
-        qpos = qpos.at[:, cassie.PELVIS_Y].add(offset.y).at[:, cassie.PELVIS_Z].add(ground)
+        qpos = qpos.at[:, cassie.PELVIS_POSITION[:2]].add(offset.position).at[:, cassie.PELVIS_Z].add(ground)
         qvel = qvel.at[:, cassie.HORIZONTAL_VELOCITY].add(offset.velocity)
         seen = self._seen(state, qpos, qvel)
         noise_key = None if key is None else jax.random.fold_in(key, _FRESH_NOISE_KEY)
         observation, sensing = self.law.observe(self.law.init(seen), seen, self._noise(noise_key, len(time)))
-        return Start(qpos, qvel, state, observation, sensing)
+        return Start(qpos, qvel, state, observation, sensing, _privileged(offset.position[:, 0]))
 
     def _post_physics(
         self,
@@ -230,7 +232,7 @@ class WalkEnv:
         seen = self._seen(state, sensed_qpos, sensed_qvel)
         noise = self._noise(jax.random.fold_in(key, _NOISE_KEY), len(nan))
         observation, sensing = self.law.observe(sensing, seen, noise)
-        privileged = jnp.clip(lead / LEAD_M, -10, 10)[:, None]
+        privileged = _privileged(lead)
         causes = {name: cause.astype(earned.dtype) for name, cause in causes._asdict().items()}
         return StepOutcome(
             start=start,
@@ -239,7 +241,7 @@ class WalkEnv:
             observation=merge(ended, start.observation, observation),
             final_observation=observation,
             sensing=merge(ended, start.sensing, sensing),
-            privileged=jnp.where(ended[:, None], 0.0, privileged),
+            privileged=merge(ended, start.privileged, privileged),
             final_privileged=privileged,
             reward=earned,
             terminated=terminated,
@@ -287,3 +289,8 @@ class WalkEnv:
         if self._command_s is None:
             return start
         return start._replace(motion=start.motion._replace(target_command=state.target_command))
+
+
+def _privileged(lead: Array) -> jax.Array:
+    """What a critic sees of robots that are `lead` [B], m, ahead of the reference motion, [B, 1]."""
+    return jnp.clip(jnp.asarray(lead, jnp.float32) / LEAD_M, -10, 10)[:, None]

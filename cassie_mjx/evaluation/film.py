@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from cassie_mjx.agents.types import Agent, AgentState
-from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.envs.termination import has_fallen, height_over_ground
 from cassie_mjx.evaluation.simulate import Moment, act_steps, simulate
 from cassie_mjx.evaluation.steady import steady
@@ -51,7 +50,7 @@ def film(agent: Agent, trial: Trial, phase: float = 0.0, push_at: float = 0.0, f
       agent: what walks.
       trial: what it is put through; `start` does not matter.
       phase: phase of the stride at the start, 0 to 1.
-      push_at: time of the push, s, rounded up to the next step of the agent; the heading is that of this moment.
+      push_at: time that the pushes count from, s, rounded up to the agent's next step; the heading is that of then.
       fps: 1/s.
     """
     physics, robots = begin(agent, replace(trial, start=0), phase)
@@ -61,10 +60,9 @@ def film(agent: Agent, trial: Trial, phase: float = 0.0, push_at: float = 0.0, f
     fell_s = None
     for frame, (moment, scenario) in enumerate(_watched(agent, physics, robots, trial, push_step, frames)):
         state, time_s = moment.robots.physics, frame / fps
-        pushed = scenario.push_start <= state.step < scenario.push_stop
         if fell_s is None and has_fallen(height_over_ground(state.qpos, scenario.ground))[0]:
             fell_s = time_s
-        yield Shot(time_s, state.qpos[0], scenario.push[0] * pushed, fell_s)
+        yield Shot(time_s, state.qpos[0], scenario.force(state.step)[0], fell_s)
         if fell_s is not None and time_s >= fell_s + AFTER_FALL_S:
             return
 
@@ -73,14 +71,14 @@ def _watched(
     agent: Agent, physics: Physics, robots: AgentState, trial: Trial, push_step: int, frames: list[int]
 ) -> Iterator[tuple[Moment, Scenario]]:
     """The robot at each frame, given in physics steps since the start; it is pushed from `push_step` on."""
-    push_steps = round(PUSH_S / physics.model.opt.timestep)
+    hertz = 1 / physics.model.opt.timestep
     before = [step for step in frames if step < push_step]
-    scenario = scenario_of(agent, [replace(trial, push=(0.0, 0.0))], robots.physics, push_steps)
+    scenario = scenario_of(agent, [replace(trial, pushes=())], robots.physics, hertz)
     after = [step - push_step for step in frames[len(before) :]]
     for moment in simulate(agent, physics, robots, scenario, chain(before, [push_step] if after else [])):
         robots = moment.robots
         if moment.step < push_step:
             yield moment, scenario
-    scenario = scenario_of(agent, [trial], robots.physics, push_steps)
+    scenario = scenario_of(agent, [trial], robots.physics, hertz, max(len(trial.pushes), 1))
     for moment in simulate(agent, physics, robots, scenario, after):
         yield moment, scenario

@@ -12,7 +12,6 @@ import jax
 import numpy as np
 
 from cassie_mjx.agents.types import Agent, AgentState
-from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.evaluation import simulate
 from cassie_mjx.evaluation.record import TrialRecord
 from cassie_mjx.evaluation.simulate import Simulation
@@ -52,6 +51,7 @@ def run(
     trials: Trials,
     num_envs: int = 64,
     progress: Progress | None = None,
+    pushes: int = 1,
 ) -> None:
     """Run trials, `num_envs` at a time, until there are no more; results go to `trials.ended`.
 
@@ -62,12 +62,13 @@ def run(
       trials: where trials come from and their results go.
       num_envs: robots side by side. On MuJoCo C the batch is halved when half of them have nothing to do.
       progress: called with how far it is.
+      pushes: the most that a trial has.
 
     Raises:
       ValueError: the agent's period does not divide the control step into whole physics steps, or a trial has a longer
         delay than the engine is made for.
     """
-    batch, over = _Batch(agent, physics, starts, num_envs), 0
+    batch, over = _Batch(agent, physics, starts, num_envs, pushes), 0
     while batch.fill(trials):
         batch.advance()
         over += batch.hand_in(trials)
@@ -88,7 +89,8 @@ def run_trials(
     The other arguments are those of `run`.
     """
     listed = _Listed(trials)
-    run(agent, physics, starts, listed, min(num_envs or len(trials), len(trials)), progress)
+    pushes = max((len(trial.pushes) for trial in trials), default=0)
+    run(agent, physics, starts, listed, min(num_envs or len(trials), len(trials)), progress, max(pushes, 1))
     return jax.tree.map(lambda *values: np.array(values), *(listed.results[i,] for i in range(len(trials))))
 
 
@@ -156,15 +158,15 @@ class _Listed:
 class _Batch:
     """The places of `run`: their simulation, and the job (key, trial) of each; a free place has none."""
 
-    def __init__(self, agent: Agent, physics: Physics, starts: AgentState, num_envs: int) -> None:
-        self.agent, self.physics, self.starts = agent, physics, starts
+    def __init__(self, agent: Agent, physics: Physics, starts: AgentState, num_envs: int, pushes: int) -> None:
+        self.agent, self.physics, self.starts, self.pushes = agent, physics, starts, pushes
         self.jobs: list[tuple[Key, Trial] | None] = [None] * num_envs
         self.simulation = self._begin([_IDLE] * num_envs)
 
     def _begin(self, trials: list[Trial]) -> Simulation:
         robots = placed(self.agent, self.starts, trials)
-        push_steps = round(PUSH_S / self.physics.model.opt.timestep)
-        scenario = scenario_of(self.agent, trials, robots.physics, push_steps)
+        hertz = 1 / self.physics.model.opt.timestep
+        scenario = scenario_of(self.agent, trials, robots.physics, hertz, self.pushes)
         simulate.check_agent(self.agent, self.physics, scenario)
         return Simulation(robots, scenario, TrialRecord.begin(robots.physics.qpos, trials))
 

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from cassie_mjx.agents.types import Agent, AgentState
+from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.physics.types import PhysicsState, Scenario
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_POSITION, PELVIS_QUATERNION
 from cassie_mjx.robot.ground import CREST_X_M
@@ -27,6 +28,19 @@ class Metric(NamedTuple):
     """Trials behind the figure or, for a limit, phases of the stride."""
 
 
+class Push(NamedTuple):
+    """A force at the pelvis for a while."""
+
+    forward: float
+    """N, in the heading frame at the start of the trial."""
+    left: float
+    """N."""
+    start_s: float = 0.0
+    """When it begins, s since the start of the trial."""
+    seconds: float = PUSH_S
+    """How long it lasts, s."""
+
+
 @dataclass(frozen=True)
 class Trial:
     """One robot's task: to stay up."""
@@ -35,8 +49,8 @@ class Trial:
     """Index of the robot it starts as, among the starting robots."""
     seconds: float
     """Duration, s; rounded up to whole control steps of 32 ms."""
-    push: tuple[float, float] = (0.0, 0.0)
-    """Force at the pelvis in the first 0.2 s, N, forward and left in the heading frame at the start."""
+    pushes: tuple[Push, ...] = ()
+    """Forces at the pelvis; those at the same time add up."""
     terrain: float = 0.0
     """Height h of the terrain z = h sin x, m; above 0 the robot starts on a crest."""
     delay: int = 0
@@ -80,18 +94,35 @@ class NeverSteady(ValueError):
     """An agent falls before it walks steadily, which is where trials start."""
 
 
-def scenario_of(agent: Agent, trials: Sequence[Trial], state: PhysicsState, push_steps: int) -> Scenario:
-    """What the trials do to robots that start them in `state`, [B]; a push acts from now on for `push_steps` steps."""
-    heading = yaw(state.qpos[:, PELVIS_QUATERNION])
-    forward, left = np.array([trial.push for trial in trials], float).reshape(-1, 2).T
+def scenario_of(agent: Agent, trials: Sequence[Trial], state: PhysicsState, hertz: float, pushes: int = 1) -> Scenario:
+    """What the trials do to robots that start them in `state`, [B].
+
+    Args:
+      agent: what walks.
+      trials: of the robots.
+      state: theirs, as the trials start.
+      hertz: physics steps a second.
+      pushes: the most that a trial has.
+
+    Raises:
+      ValueError: a trial has more pushes.
+    """
+    most = max((len(trial.pushes) for trial in trials), default=0)
+    if most > pushes:
+        raise ValueError(f"A trial has {most} pushes where there is room for {pushes}.")
+    still = Push(0.0, 0.0, seconds=0.0)
+    table = np.array([trial.pushes + (still,) * (pushes - len(trial.pushes)) for trial in trials], float)
+    forward, left, start_s, seconds = np.moveaxis(table, 2, 0)
+    heading = yaw(state.qpos[:, PELVIS_QUATERNION])[:, None]
     cos, sin = np.cos(heading), np.sin(heading)
-    step = np.asarray(state.step)
+    start = np.asarray(state.step)[:, None] + np.rint(start_s * hertz).astype(np.int32)
     return Scenario.nominal(
         len(trials),
+        pushes,
         # F_w = R_z(yaw) F
-        push=np.stack([forward * cos - left * sin, forward * sin + left * cos, 0 * heading], axis=1),
-        push_start=step,
-        push_stop=step + np.int32(push_steps),
+        push=np.stack([forward * cos - left * sin, forward * sin + left * cos, np.zeros_like(left)], axis=2),
+        push_start=start,
+        push_stop=start + np.rint(seconds * hertz).astype(np.int32),
         delay=np.array([trial.delay for trial in trials], np.int32),
         ground=np.array([trial.terrain for trial in trials], float),
         kd_scale=np.asarray(agent.kd_scale),

@@ -77,8 +77,7 @@ class MjxPhysics:
             qpos, qvel = delayed(state, scenario)
             q, qdot = qpos[:, cassie.ACTIVE_QPOS], qvel[:, cassie.ACTIVE_QVEL]
             torque = cassie.pd_torque(target, q, qdot, kd_scale).astype(dtype)
-            pushed = (scenario.push_start <= state.step) & (state.step < scenario.push_stop)
-            push = scenario.push * pushed[:, None]
+            push = scenario.force(state.step)
             moved = jax.vmap(self._step)(state.qpos, state.qvel, state.qacc_warmstart, torque, push, scenario)
             return self._record(PhysicsState(*moved, state.step + 1, state.history)), None
 

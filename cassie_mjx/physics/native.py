@@ -72,7 +72,7 @@ class NativePhysics:
         if not self.max_delay:
             pool.ctrl[:] = target
             for start, stop in _force_segments(state.step, scenario, n_steps):
-                pool.push[:] = _force(state.step + start, scenario)
+                pool.push[:] = scenario.force(state.step + start)
                 pool.batch.step(nstep=stop - start)
             return pool.state(state.step + n_steps, state.history)
         state = replace(state, history=state.history.copy())
@@ -81,7 +81,7 @@ class NativePhysics:
             qpos, qvel = delayed(state, scenario)
             q, qdot = qpos[:, cassie.ACTIVE_QPOS], qvel[:, cassie.ACTIVE_QVEL]
             pool.ctrl[:] = cassie.pd_torque(target, q, qdot, kd_scale) / cassie.GEAR
-            pool.push[:] = _force(state.step, scenario)
+            pool.push[:] = scenario.force(state.step)
             pool.batch.step()
             state = pool.state(state.step + 1, state.history)
             rows = np.arange(len(state.step)), state.step % (self.max_delay + 1)
@@ -154,12 +154,8 @@ class _Kinematics:
         )
 
 
-def _force(step: np.ndarray, scenario: Scenario) -> np.ndarray:
-    active = (scenario.push_start <= step) & (step < scenario.push_stop)
-    return np.where(active[:, None], scenario.push, 0.0)
-
-
 def _force_segments(step: np.ndarray, scenario: Scenario, n_steps: int) -> Iterator[tuple[int, int]]:
     """Stretches of the next `n_steps` in which no robot's push starts or stops."""
-    edges = np.concatenate([scenario.push_start - step, scenario.push_stop - step, [0, n_steps]])
+    ends = np.stack([scenario.push_start, scenario.push_stop]) - step[:, None]
+    edges = np.append(ends, [0, n_steps])
     return pairwise(np.unique(edges[(edges >= 0) & (edges <= n_steps)]).tolist())

@@ -40,9 +40,9 @@ class Scenario:
     """What differs from robot to robot: what the world does to each, and what each is made of.
 
     Attributes:
-      push: force at the pelvis' centre of mass, [B, 3], N, world frame.
-      push_start: first physics step under the push, [B], int32, counted as `PhysicsState.step`.
-      push_stop: first physics step after the push, [B], int32.
+      push: forces at the pelvis' centre of mass, P of them, [B, P, 3], N, world frame.
+      push_start: first physics step under each push, [B, P], int32, counted as `PhysicsState.step`.
+      push_stop: first physics step after each push, [B, P], int32.
       delay: age of the state that the PD loop and the agent sense, [B], int32, physics steps.
       ground: height h of the ground z = h sin x, [B], m.
       kd_scale: factor on the D gains of the PD law, [B].
@@ -56,19 +56,28 @@ class Scenario:
     kd_scale: Array
 
     @classmethod
-    def nominal(cls, robots: int, **changes: Array) -> "Scenario":
-        """Undisturbed walking of `robots` nominal robots on a flat floor, but for `changes`: [B, ...] or one value."""
-        steps, zeros = np.zeros(robots, np.int32), np.zeros(robots)
+    def nominal(cls, robots: int, pushes: int = 1, **changes: Array) -> "Scenario":
+        """Undisturbed walking of `robots` nominal robots on a flat floor, but for `changes`: [B, ...] or one value.
+
+        `pushes` is P, how many pushes there is room for.
+        """
+        steps, zeros = np.zeros((robots, pushes), np.int32), np.zeros(robots)
         values = {
-            "push": np.zeros((robots, 3)),
+            "push": np.zeros((robots, pushes, 3)),
             "push_start": steps,
             "push_stop": steps,
-            "delay": steps,
+            "delay": steps[:, 0],
             "ground": zeros,
             "kd_scale": np.ones(robots),
         }
         given = {name: np.broadcast_to(value, values[name].shape) for name, value in changes.items()}
         return cls(**(values | given))
+
+    def force(self, step: Array) -> Array:
+        """Sum of the pushes that act in physics step `step` [B], [B, 3], N, world frame."""
+        now = step[:, None]
+        acting = (self.push_start <= now) & (now < self.push_stop)
+        return (self.push * acting[..., None]).sum(axis=1)
 
 
 @jax.tree_util.register_dataclass
@@ -152,12 +161,11 @@ def to_backend(state: PhysicsState, tree: T) -> T:
 def check_batch(state: PhysicsState, target: Array, scenario: Scenario) -> None:
     """Raise ValueError unless state, targets and scenario describe the same number of robots."""
     robots = state.qpos.shape[0]
+    pushes = scenario.push.shape[1] if scenario.push.ndim == 3 else 1
+    tails = {"push": (pushes, 3), "push_start": (pushes,), "push_stop": (pushes,)}
     for name, array, tail in (
         ("target", target, (cassie.NU,)),
-        *(
-            (f"scenario.{f.name}", getattr(scenario, f.name), (3,) if f.name == "push" else ())
-            for f in fields(scenario)
-        ),
+        *((f"scenario.{f.name}", getattr(scenario, f.name), tails.get(f.name, ())) for f in fields(scenario)),
     ):
         if array.shape != (robots, *tail):
             raise ValueError(f"{name} has shape {array.shape}; for {robots} robots it must be {(robots, *tail)}.")

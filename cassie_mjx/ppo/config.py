@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar
 
 from cassie_mjx.configuration.values import Checked, Range, shown
 
-SCHEDULES = ("constant", "linear", "late", "exponential")
+SCHEDULES = ("constant", "linear", "cosine", "exponential")
 
 
 MOST_LAYERS = 64
@@ -79,23 +79,23 @@ class PPOConfig(Checked):
     actor_learning_rate: Annotated[float, Range(1e-9, 1)] = 3e-4
     """Adam step size of the actor at iteration 0."""
 
-    actor_schedule: str = "late"
-    """How the actor's step size and `target_kl` fall: not at all (constant), linearly over the run (linear), linearly
-    over its second half (late), or exponentially (exponential).
+    actor_schedule: str = "cosine"
+    """How the actor's step size and `target_kl` fall: not at all (constant), linearly over the run (linear), along
+    half a cosine after its first third (cosine), or exponentially (exponential).
 
-    Late, for fast speeds take a third of a run to walk at all, and what so few samples teach in the end is noise.
+    Fast speeds take a third of a run to walk at all; large steps in the end would let the speed sway.
     """
 
     critic_learning_rate: Annotated[float, Range(1e-9, 1)] = 1e-3
     """Adam step size of the critic at iteration 0."""
 
     critic_schedule: str = "linear"
-    """How the critic's step size falls over iterations: constant, linear, late or exponential."""
+    """How the critic's step size falls over iterations: constant, linear, cosine or exponential."""
 
     learning_rate_decay: Annotated[float, Range(0.01, 1)] = 0.99
     """Factor an iteration of the exponential schedule (*paper*: 1 % an iteration)."""
 
-    learning_rate_floor: Annotated[float, Range(0, 1)] = 0.1
+    learning_rate_floor: Annotated[float, Range(0, 1)] = 0.03
     """Fraction of the initial step size below which no schedule goes (*paper*: 1e-4 of 1e-3 and 1e-3 of 1e-2)."""
 
     target_kl: Annotated[float, Range(1e-6, 100)] | None = 0.05
@@ -148,6 +148,7 @@ PPO_PRESETS = {
         actor_schedule="exponential",
         critic_learning_rate=1e-2,
         critic_schedule="exponential",
+        learning_rate_floor=0.1,
         target_kl=None,
         max_grad_norm=None,
         adam_epsilon=1e-8,
@@ -163,6 +164,7 @@ PPO_PRESETS = {
         minibatch_size=8192,
         final_action_std=0.1,
         actor_schedule="constant",
+        learning_rate_floor=0.1,
     ),
 }
 """The learner's presets by name."""

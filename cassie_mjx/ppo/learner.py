@@ -147,8 +147,9 @@ def _schedule(config: PPOConfig, name: str, iteration: Int[Array, ""]) -> Float[
     done = iteration.astype(jnp.float32)
     if name == "linear":
         factor = 1.0 - done / config.iterations
-    elif name == "late":
-        factor = jnp.minimum(1.0, 2.0 * (1.0 - done / config.iterations))
+    elif name == "cosine":
+        fallen = jnp.maximum(0.0, 1.5 * done / config.iterations - 0.5)
+        factor = 0.5 * (1.0 + jnp.cos(jnp.pi * fallen))
     elif name == "exponential":
         factor = config.learning_rate_decay**done
     else:

@@ -6,8 +6,8 @@
     data.qpos[:], data.qvel[:] = before["qpos"], before["qvel"]
     data.qacc_warmstart[:], data.ctrl[:] = before["qacc_warmstart"], before["target"]
     for step in range(before["step"], before["step"] + before["n_steps"]):
-        pushed = before["push_start"] <= step < before["push_stop"]
-        data.body("cassie-pelvis").xfrc_applied[:3] = before["push"] * pushed
+        pushed = (before["push_start"] <= step) & (step < before["push_stop"])
+        data.body("cassie-pelvis").xfrc_applied[:3] = pushed @ before["push"]
         mujoco.mj_step(model, data)
 
 The motors are position servos on the present state: what diverged on senses `delay` steps old, or on MJX, need not do
