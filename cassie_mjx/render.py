@@ -14,6 +14,7 @@ from cassie_mjx.evaluation.draw import ENCODINGS, FASTEST_GIF, FILM, draw_frames
 from cassie_mjx.evaluation.film import film
 from cassie_mjx.evaluation.trial import Push, Trial
 from cassie_mjx.robot.drawing import CAMERAS, load_scene, open_renderer
+from cassie_mjx.robot.ground import parse_terrain
 from cassie_mjx.robot.model import ModelConfig
 
 
@@ -35,8 +36,9 @@ class RenderConfig(AgentConfig):
     """Force at the pelvis for 0.2 s, forward and left, N."""
     push_at: Annotated[float, Range(0, 3600)] = 2.0
     """Time of the push since the start, s, before the end; it begins with the next act."""
-    terrain: Annotated[float, Range(0, 1)] = 0.0
-    """Height h of the terrain z = h sin x, m; above 0 the robot starts on a crest."""
+    terrain: str = "0"
+    """What is walked on: height h of hills z = h sin x, m, or a kind and its level, slope:0.2 or across:0.2 (rad),
+    steps:0.1 or rough:0.1 (m)."""
     delay: Annotated[float, Range(0, 1000)] = 0.0
     """Age of the state that policy and PD loop see, ms, in whole physics steps of 0.5 ms."""
     camera: str = "three-quarter"
@@ -51,6 +53,7 @@ class RenderConfig(AgentConfig):
     def __post_init__(self) -> None:
         """Raise ValueError for a film that cannot be made."""
         super().__post_init__()
+        parse_terrain(self.terrain)
         suffix, step_ms = Path(self.out).suffix, 1000 / ModelConfig().physics_hz
         for name, valid, hint in (
             ("out", suffix in ENCODINGS, f"name a file that ends in {' or '.join(ENCODINGS)}"),
@@ -67,18 +70,18 @@ class RenderConfig(AgentConfig):
     def trial(self) -> Trial:
         """The trial that is filmed."""
         delay_steps = round(self.delay * ModelConfig().physics_hz / 1000)
-        return Trial(0, self.seconds, (Push(*self.push),), self.terrain, delay_steps)
+        return Trial(0, self.seconds, (Push(*self.push),), parse_terrain(self.terrain), delay_steps)
 
 
 def main(config: RenderConfig) -> None:
     """Film the walk, and say how it went."""
     cli.check_output(config.out, FILM, config.overwrite)
     agent, console = config.agent(), cli.console()
-    with open_renderer(load_scene(config.terrain), config.width, config.height) as renderer:
+    with open_renderer(load_scene(config.trial.terrain.ground), config.width, config.height) as renderer:
         with console.status("walking"):
             shots = list(film(agent, config.trial, config.phase, config.push_at, config.fps))
         drawn = track(shots, "drawing", console=console, transient=True)
-        frames = draw_frames(renderer, drawn, config.camera, config.terrain)
+        frames = draw_frames(renderer, drawn, config.camera, config.trial.terrain.ground)
         write_video(Path(config.out), frames, config.width, config.height, config.fps)
     fell_s = shots[-1].fell_s
     how = "stayed up" if fell_s is None else f"fell after {fell_s:.2f} s"

@@ -3,31 +3,36 @@
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Annotated
 
 import mujoco
 import mujoco.viewer
 
 from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
-from cassie_mjx.configuration.values import Range
 from cassie_mjx.evaluation.viewer import Live, check_screen, keep_showing
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.ground import parse_terrain
 
 
 @dataclass(frozen=True)
 class ViewConfig(AgentConfig):
     """What to watch."""
 
-    terrain: Annotated[float, Range(0, 1)] = 0.0
-    """Height h of the terrain z = h sin x, m; above 0 the robot starts on a crest."""
+    terrain: str = "0"
+    """What is walked on: height h of hills z = h sin x, m, or a kind and its level, slope:0.2 or across:0.2 (rad),
+    steps:0.1 or rough:0.1 (m)."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a terrain that there is not."""
+        super().__post_init__()
+        parse_terrain(self.terrain)
 
 
 def main(config: ViewConfig) -> None:
     """Open the viewer, and walk until its window is closed or Ctrl-C is typed."""
     if sys.platform != "darwin":
         check_screen()
-    live = Live(config.agent(), config.terrain)
+    live = Live(config.agent(), parse_terrain(config.terrain))
     try:
         window = mujoco.viewer.launch_passive(live.model, live.data, show_left_ui=False, show_right_ui=False)
     except RuntimeError as error:

@@ -20,6 +20,7 @@ from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.ground import FLAT
 from cassie_mjx.robot.loops import loop_error
 from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model, load_model, servo_model, standing
 
@@ -101,7 +102,7 @@ def accelerations(
         torque = cassie.pd_torque(target, q[cassie.ACTIVE_QPOS], v[cassie.ACTIVE_QVEL])
         d = mjx.make_data(physics.model).replace(qpos=q, qvel=v)
         if with_bias:
-            return physics.dynamics(m, d, torque, jnp.zeros(3), jnp.zeros(()))[2].qacc
+            return physics.dynamics(m, d, torque, jnp.zeros(3), FLAT.ground)[2].qacc
         applied = jnp.zeros(cassie.NV).at[cassie.ACTIVE_QVEL].set(torque)
         return mjx.forward(m, d.replace(qfrc_applied=applied)).qacc
 

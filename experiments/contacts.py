@@ -23,6 +23,7 @@ from cassie_mjx.evaluation.trial import Push, Trial, placed, scenario_of
 from cassie_mjx.heuristic.config import CONTROLLERS
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
+from cassie_mjx.robot.ground import Ground
 from cassie_mjx.robot.mjcf import WALKING_PAIRS
 from cassie_mjx.robot.model import ModelConfig, load_model
 
@@ -55,7 +56,7 @@ def trajectories(name: str, push_n: float, seconds: float) -> np.ndarray:
     every, calls = (round(time / agent.period_s) for time in (CONTROL_PERIOD_S, seconds))
     walk = islice(walk_on(agent, physics, robots, scenario), 0, calls, every)
     qpos = np.array([moment.physics.qpos for moment in walk])
-    up = ~fallen(qpos, np.zeros(len(trials))).any(axis=0)
+    up = ~fallen(qpos, Ground.flat(len(trials))).any(axis=0)
     return qpos[:, up].reshape(-1, qpos.shape[-1])
 
 

@@ -27,6 +27,7 @@ from cassie_mjx.evaluation.steady import steady, walk_on
 from cassie_mjx.motion.reference import RAMP_PER_S
 from cassie_mjx.physics.make import make_physics
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
+from cassie_mjx.robot.ground import Ground
 from cassie_mjx.robot.model import ModelConfig
 from experiments import pictures
 
@@ -101,7 +102,7 @@ def ride(blend: BlendAgent, starts: int = STARTS) -> Ride:
     fell, x, commanded_x = np.zeros(starts, bool), [], [0.0]
     walk = walk_on(blend, physics, steady(blend, physics, np.arange(starts) / starts))
     for state, carry in islice(walk, round(seconds / blend.period_s) + 1):
-        fell |= fallen(state.qpos, np.zeros(starts))
+        fell |= fallen(state.qpos, Ground.flat(starts))
         x.append(state.qpos[:, 0])
         gain = blending.advance(blend.motions, blend.position(carry), carry.phase + 1)
         commanded_x.append(commanded_x[-1] + float(np.mean(gain)))

@@ -28,6 +28,7 @@ from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
 from cassie_mjx.robot.drawing import load_scene, open_renderer
+from cassie_mjx.robot.ground import Ground
 from cassie_mjx.robot.loops import loop_error
 from cassie_mjx.robot.model import ModelConfig, load_model
 from experiments import pictures
@@ -95,7 +96,7 @@ def choose(qpos: np.ndarray) -> int:
     """
     x, y = np.moveaxis(qpos[..., cassie.qpos_index("pelvis")[:2]], -1, 0)
     length = np.hypot(x[-1] - x[0], y[-1] - y[0])
-    up = ~fallen(qpos, np.zeros(qpos.shape[1])).any(axis=0)
+    up = ~fallen(qpos, Ground.flat(qpos.shape[1])).any(axis=0)
     error = np.where(up, np.abs(length - STRIDE_M), np.inf)
     if error.min() > STRIDE_TOLERANCE_M:
         lengths = ", ".join(f"{m:.3f} m" if ok else "a fall" for m, ok in zip(length, up, strict=True))

@@ -29,6 +29,7 @@ from cassie_mjx.motion.reference import RAMP_PER_S, mean_speed, nearest_sample, 
 from cassie_mjx.physics.make import make_physics
 from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X
+from cassie_mjx.robot.ground import Ground
 from cassie_mjx.robot.model import ModelConfig
 from experiments import learning, pictures, studies
 from experiments.interpolation import STARTS, Ride
@@ -122,7 +123,7 @@ def follow(policy: PolicyAgent, factors: np.ndarray, starts: int = STARTS) -> Ri
     stops = range(0, steps * len(told) + 1, steps)
     walk = simulate(policy, physics, robots, scenario, stops, commands)
     qpos = np.array([moment.robots.physics.qpos for moment in walk])
-    fell = fallen(qpos, np.zeros(starts)).any(axis=0)
+    fell = fallen(qpos, Ground.flat(starts)).any(axis=0)
     commanded_x = np.append(0, np.cumsum(told * CONTROL_PERIOD_S))
     return Ride.of(commanded_x.tolist(), list(qpos[..., PELVIS_X]), fell, samples)
 

@@ -17,6 +17,7 @@ from cassie_mjx.evaluation.scheduler import run_trials
 from cassie_mjx.evaluation.setup import LIMIT_PHASES, WALK_PHASES, WALK_S, EvalSetup
 from cassie_mjx.evaluation.suites import HIGHEST_TERRAIN_M, LONGEST_DELAY_S, TERRAIN_STEP_M
 from cassie_mjx.evaluation.trial import Trial
+from cassie_mjx.robot.ground import Terrain
 
 DELAY_STEP_MS = 1.0
 
@@ -34,7 +35,7 @@ class SurvivalConfig(AgentConfig):
 def terrain(agent: Agent, setup: EvalSetup) -> list[dict[str, Any]]:
     """The share of 8 starts that walk 10 s over the terrain z = h sin x, h from 0 to 0.8 m."""
     levels = np.arange(0, HIGHEST_TERRAIN_M + TERRAIN_STEP_M / 2, TERRAIN_STEP_M).round(9).tolist()
-    trials = [Trial(start, WALK_S, terrain=h) for h in levels for start in range(len(LIMIT_PHASES))]
+    trials = [Trial(start, WALK_S, terrain=Terrain("sine", h)) for h in levels for start in range(len(LIMIT_PHASES))]
     starts = setup.starts(agent, LIMIT_PHASES)
     result = run_trials(agent, setup.physics("terrain"), starts, trials, setup.progress, setup.num_envs)
     return rows(agent.name, "terrain_survived", "m", levels, ~result.fell)

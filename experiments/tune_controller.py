@@ -28,6 +28,7 @@ from cassie_mjx.evaluation.steady import begin, side_by_side, walk_on
 from cassie_mjx.evaluation.trial import Push, Trial
 from cassie_mjx.heuristic.config import CONTROLLERS, ControllerConfig
 from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.robot.ground import Ground, Terrain
 from cassie_mjx.robot.model import ModelConfig, load_model
 
 PHYSICS_HZ = 1000
@@ -153,8 +154,9 @@ def trials(demand: Demand) -> list[tuple[str, Trial]]:
         for phase in PHASES[kind]
         for force in getattr(demand, kind)
     ]
+    hills = [Terrain("sine", height) for height in demand.terrain]
     return pushes + [
-        ("terrain", Trial(phase, TERRAIN_S, terrain=height)) for phase in PHASES["terrain"] for height in demand.terrain
+        ("terrain", Trial(phase, TERRAIN_S, terrain=terrain)) for phase in PHASES["terrain"] for terrain in hills
     ]
 
 
@@ -188,7 +190,7 @@ class Evaluator:
         qpos = np.array([each.physics.qpos for each in stride])
         height, pitch = qpos[..., 2], 2 * (qpos[..., 3] * qpos[..., 5] - qpos[..., 6] * qpos[..., 4])
         unrest = 2 * np.ptp(height, axis=0) + 0.5 * np.ptp(pitch, axis=0) + 0.3 * np.abs(pitch).max(axis=0)
-        upright = ~fallen(qpos, np.zeros(robots)).any(axis=0)
+        upright = ~fallen(qpos, Ground.flat(robots)).any(axis=0)
         steady = np.all([on_time(each, agent.period_s) for each in (stride[0], stride[-1])], axis=0)
         speed = (qpos[-1, :, 0] - qpos[0, :, 0]) / (calls * agent.period_s)
         return side_by_side(agent, stride[: -1 : calls // 8]), speed, np.where(upright & steady, unrest, WORST)

@@ -22,6 +22,7 @@ from cassie_mjx.evaluation.setup import LIMIT_PHASES, WALK_S, EvalSetup
 from cassie_mjx.evaluation.suites import LONGEST_DELAY_S
 from cassie_mjx.evaluation.trial import Trial
 from cassie_mjx.physics.make import ENGINES
+from cassie_mjx.robot.ground import Terrain
 
 DIRECTIONS_DEG = np.arange(8) * 45.0
 FORCES_N = np.arange(20, 241, 20)
@@ -61,7 +62,7 @@ def subsets() -> list[Subset]:
         for degrees in DIRECTIONS_DEG
         for phase in phases[::2]
     ]
-    hills = [[Trial(phase, WALK_S, terrain=h) for h in HEIGHTS_M.tolist()] for phase in phases]
+    hills = [[Trial(phase, WALK_S, terrain=Terrain("sine", h)) for h in HEIGHTS_M.tolist()] for phase in phases]
     delays = [[Trial(phase, WALK_S, delay=steps) for steps in DELAYS.tolist()] for phase in phases]
     return [
         Subset("push", pushes),

@@ -18,13 +18,14 @@ from cassie_mjx.physics.types import Scenario
 from cassie_mjx.ppo import learner
 from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.ground import Ground, Terrain
 from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_mjx_model, load_model
 from cassie_mjx.training import divergence
 
 CONFIG = PPOConfig(num_robots=2, num_steps=4, minibatch_size=8, hidden_sizes=(16,))
 PUSH = replace(Scenario.nominal(2), push=np.full((2, 1, 3), 50.0), push_stop=np.full((2, 1), 1000, np.int32))
 # Begins and ends within the third control step, which is physics steps 32 to 47.
-HILL = replace(Scenario.nominal(2), ground=np.full(2, 0.1))
+HILL = replace(Scenario.nominal(2), ground=Ground.of([Terrain("sine", 0.1)] * 2))
 SHORT_PUSH = replace(PUSH, push_start=np.full((2, 1), 37, np.int32), push_stop=np.full((2, 1), 42, np.int32))
 
 
@@ -102,7 +103,11 @@ def test_on_mjx_the_same(tmp_path, monkeypatch):
 
 
 def test_terrain_on_mjx_is_kept_as_a_height_field(native, tmp_path):
-    found = {"qpos": native.model.qpos0, "ground": np.float32(0.1), "kd_scale": np.float32(1)}
+    found = {
+        "qpos": native.model.qpos0,
+        **{f"ground_{name}": value for name, value in vars(Terrain("sine", 0.1).ground).items()},
+        "kd_scale": np.float32(1),
+    }
     divergence.dump(tmp_path / "nan", native, found)
     model = mujoco.MjModel.from_binary_path(str(tmp_path / "nan" / "model.mjb"))
     assert (model.nhfield, model.opt.timestep) == (1, 0.002)

@@ -16,6 +16,7 @@ from cassie_mjx.motion.reference import sample
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Scenario
+from cassie_mjx.robot.ground import Ground, Terrain
 from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model, load_model
 
 ROBOTS, HZ, SUBSTEPS = 8, 1000, 32
@@ -38,6 +39,10 @@ def make(physics, motion, scenario, **config):
     return WalkEnv(physics, motion, WalkConfig(scenario=scenario, symmetric=False, **config), ROBOTS)
 
 
+def of_robots(tree, chosen):
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[chosen], tree)
+
+
 def assert_same(these, those):
     jax.tree.map(np.testing.assert_array_equal, these, those)
 
@@ -56,7 +61,7 @@ def test_draws_are_uniform_over_their_ranges():
     np.testing.assert_array_equal(values, np.arange(33) * SUBSTEPS)
     np.testing.assert_allclose(counts / robots, 1 / 33, atol=0.006)
     np.testing.assert_array_equal(drawn.push_stop - drawn.push_start, 200)
-    for array, expected in ((drawn.ground, np.arange(9) * 0.03), (drawn.delay, np.arange(6))):
+    for array, expected in ((drawn.ground.sine, np.arange(9) * 0.03), (drawn.delay, np.arange(6))):
         values, counts = np.unique(array, return_counts=True)
         np.testing.assert_allclose(values, expected, atol=1e-7)
         np.testing.assert_allclose(counts / robots, 1 / len(expected), atol=0.012)
@@ -72,7 +77,7 @@ def test_the_backward_part_of_pushes_can_be_less():
 def test_what_is_not_asked_for_does_not_act(name):
     config = replace(ScenarioConfig(), **{name: getattr(ALL, name)})
     drawn = draw_scenario(config, jax.random.key(1), 1000, HZ)
-    acting = {"push_n": drawn.push.any(), "terrain_m": drawn.ground.any(), "delay_s": drawn.delay.any()}
+    acting = {"push_n": drawn.push.any(), "terrain_m": drawn.ground.uneven.any(), "delay_s": drawn.delay.any()}
     assert acting == {other: other == name for other in acting}
     assert config.active
     assert not ScenarioConfig().active
@@ -84,7 +89,7 @@ def test_a_push_over_is_followed_by_the_next_and_an_episode_over_by_all_anew():
         push_start=jnp.array([[64], [96], [64], [96]]),
         push_stop=jnp.array([[264], [296], [264], [296]]),
         delay=jnp.full(4, 7),
-        ground=jnp.full(4, 0.5),
+        ground=Ground.of([Terrain("sine", 0.5)] * 4),
         kd_scale=jnp.full(4, 0.3),
     )
     ended = jnp.array([False, False, True, True])
@@ -92,7 +97,7 @@ def test_a_push_over_is_followed_by_the_next_and_an_episode_over_by_all_anew():
     fresh = draw_scenario(ALL, key, 4, HZ)
     now = renew_scenario(ALL, key, present, step, ended, HZ)
     np.testing.assert_array_equal(now.delay, [7, 7, *fresh.delay[2:]])
-    np.testing.assert_array_equal(now.ground, [0.5, 0.5, *fresh.ground[2:]])
+    np.testing.assert_array_equal(now.ground.sine, [0.5, 0.5, *fresh.ground.sine[2:]])
     np.testing.assert_array_equal(now.push, [fresh.push[0], present.push[1], *fresh.push[2:]])
     np.testing.assert_array_equal(now.push_start, [288 + fresh.push_start[0], [96], *fresh.push_start[2:]])
     np.testing.assert_array_equal(now.push_stop, now.push_start + 200)
@@ -125,7 +130,7 @@ def test_a_step_is_the_physics_under_the_drawn_disturbance(hills, motion):
         state.scenario, draw_scenario(env.config.scenario, jax.random.fold_in(jax.random.key(4), 3), ROBOTS, HZ)
     )
     assert state.scenario.delay.any()
-    assert state.scenario.ground.any()
+    assert state.scenario.ground.uneven.any()
     after = env.step(state, NO_ACTION, jax.random.key(5))
     target = np.asarray(env._target(state.motion, NO_ACTION), float)
     moved = hills.advance(state.physics, target, state.scenario, SUBSTEPS)
@@ -140,7 +145,7 @@ def test_a_step_is_the_physics_under_the_drawn_disturbance(hills, motion):
 def test_robots_start_on_a_crest_and_are_judged_from_there(hills, motion):
     env = make(hills, motion, ScenarioConfig(terrain_m=0.3), start_velocity_mps=0)
     state = env.reset(jax.random.key(10))
-    height = state.scenario.ground
+    height = state.scenario.ground.sine
     phase = np.asarray(state.motion.time)
     first = np.asarray(motion.qpos)[phase]
     on_terrain = height > 0
@@ -166,9 +171,9 @@ def test_a_reset_draws_everything_anew(hills, motion):
         ended = np.asarray(state.terminated)
         fresh = draw_scenario(ALL, jax.random.fold_in(jax.random.key(i), 3), ROBOTS, HZ)
         for name in ("push", "push_start", "push_stop", "delay", "ground"):
-            now = getattr(state.scenario, name)
-            assert_same(now[ended], np.asarray(getattr(fresh, name))[ended])
-        assert_same(state.scenario.ground[~ended], before.scenario.ground[~ended])
+            now, drawn = (of_robots(getattr(each, name), ended) for each in (state.scenario, fresh))
+            assert_same(now, drawn)
+        assert_same(of_robots(state.scenario.ground, ~ended), of_robots(before.scenario.ground, ~ended))
         assert_same(state.scenario.delay[~ended], before.scenario.delay[~ended])
         if ended.any():
             return

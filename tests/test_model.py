@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from cassie_mjx.robot import cassie
-from cassie_mjx.robot.ground import set_terrain
+from cassie_mjx.robot.ground import Terrain, set_terrain
 from cassie_mjx.robot.loops import close_loops, loop_error
 from cassie_mjx.robot.model import (
     CONTACTS,
@@ -201,7 +201,7 @@ def test_close_loops_refuses_an_impossible_pose(model, standing_qpos):
 
 def test_terrain_is_the_sine_everywhere():
     model = load_model(ModelConfig(scene="terrain"))
-    set_terrain(model, 0.3)
+    set_terrain(model, Terrain("sine", 0.3).ground)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     for x in np.random.default_rng(0).uniform(-9.5, 209.5, 50):

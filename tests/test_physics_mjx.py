@@ -14,6 +14,7 @@ from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.ground import Ground, Terrain
 from cassie_mjx.robot.loops import loop_error
 from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_mjx_model, load_model
 from experiments.agreement import loop_consistent
@@ -116,7 +117,7 @@ def test_terrain_agrees_with_the_height_field(physics, standing_qpos):
     qpos[:, 2] += heights * np.sin(qpos[:, 0]) + 0.02 * heights / 0.3
     qvel = np.zeros((BATCH, cassie.NV))
     targets = np.tile(cassie.STANDING_TARGET, (BATCH, 1))
-    scenario = replace(Scenario.nominal(BATCH), ground=heights)
+    scenario = replace(Scenario.nominal(BATCH), ground=Ground.of([Terrain("sine", h) for h in heights]))
     hills = NativePhysics(load_model(replace(CONVERGED, scene="terrain", iterations=100)))
     c = hills.advance(hills.init(qpos, qvel), targets, scenario, 192)
     x = physics.init(qpos.astype(np.float32), qvel.astype(np.float32))

@@ -10,7 +10,7 @@ import pytest
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Scenario, delayed
 from cassie_mjx.robot import cassie
-from cassie_mjx.robot.ground import set_terrain
+from cassie_mjx.robot.ground import Ground, Terrain, set_terrain
 from cassie_mjx.robot.loops import loop_error
 from cassie_mjx.robot.model import ModelConfig, load_model, servo_model
 
@@ -175,12 +175,12 @@ def test_each_robot_has_its_own_terrain(standing_qpos):
     qpos[:, 2] += heights
     state = physics.init(qpos, np.zeros((3, cassie.NV)))
     targets = np.tile(cassie.STANDING_TARGET, (3, 1))
-    scenario = replace(Scenario.nominal(3), ground=heights)
+    scenario = replace(Scenario.nominal(3), ground=Ground.of([Terrain("sine", h) for h in heights]))
     moved = physics.advance(state, targets, scenario, 400)
     np.testing.assert_allclose(moved.qpos[:, 2], qpos[:, 2], atol=0.01)
     for i, height in enumerate(heights):
         alone = load_model(ModelConfig(scene="terrain"))
-        set_terrain(alone, height)
+        set_terrain(alone, Terrain("sine", height).ground)
         servo = servo_model(alone)
         data = mujoco.MjData(servo)
         data.qpos[:], data.ctrl[:] = qpos[i], cassie.STANDING_TARGET
@@ -232,6 +232,8 @@ def test_bad_input_gets_one_sentence(model, standing_qpos):
         physics.advance(state, targets, late, 1)
     with pytest.raises(ValueError, match="delay of -2 physics steps looks into the future"):
         physics.advance(state, targets, replace(late, delay=steps(0, -2)), 1)
-    hilly = replace(Scenario.nominal(2), ground=np.array([0.0, 0.1]))
-    with pytest.raises(ValueError, match="terrain of 0.1 m was asked of a flat scene"):
+    hilly = replace(Scenario.nominal(2), ground=Ground.of([Terrain("sine", h) for h in (0.0, 0.1)]))
+    with pytest.raises(
+        ValueError, match="Uneven ground was asked of a flat scene; load the model with scene='terrain' or 'rough'"
+    ):
         physics.advance(state, targets, hilly, 1)

@@ -16,6 +16,7 @@ from cassie_mjx.evaluation.draw import draw_frames, write_video
 from cassie_mjx.evaluation.film import Shot
 from cassie_mjx.render import RenderConfig
 from cassie_mjx.robot import drawing as drawing_module
+from cassie_mjx.robot.ground import FLAT, Terrain
 
 WIDTH, HEIGHT = 192, 128
 FLOOR_PERIOD_M = 1.0
@@ -30,10 +31,10 @@ def drawing():
         pytest.skip(str(error))
 
 
-def picture(qpos, camera="three-quarter", push=(0.0, 0.0, 0.0), terrain=0.0):
+def picture(qpos, camera="three-quarter", push=(0.0, 0.0, 0.0), terrain=FLAT):
     shot = Shot(0.0, qpos, np.array(push), None)
-    with drawing_module.open_renderer(drawing_module.load_scene(terrain), WIDTH, HEIGHT) as renderer:
-        return next(draw_frames(renderer, [shot], camera, terrain)).astype(int)
+    with drawing_module.open_renderer(drawing_module.load_scene(terrain.ground), WIDTH, HEIGHT) as renderer:
+        return next(draw_frames(renderer, [shot], camera, terrain.ground)).astype(int)
 
 
 def differing(a, b):
@@ -91,7 +92,7 @@ def test_terrain_is_seen(drawing, standing_qpos):
         """Rows of sky in the columns left and right of the robot."""
         qpos = standing_qpos.copy()
         qpos[0] = np.pi
-        image = picture(qpos, "side", terrain=h)[:, np.r_[: WIDTH // 4, WIDTH * 3 // 4 : WIDTH]]
+        image = picture(qpos, "side", terrain=Terrain("sine", h))[:, np.r_[: WIDTH // 4, WIDTH * 3 // 4 : WIDTH]]
         return (image[..., 2] - image[..., 0] > 30).sum(axis=0)
 
     assert np.ptp(horizon(0.0)) <= 1
@@ -175,8 +176,9 @@ def test_the_command_says_how_it_went(drawing, tmp_path, monkeypatch, capsys, ho
         ("push=10,nan", "push=10.0,nan: each must be from -1,000 to 1,000"),
         ("push=1e300,0", "each must be from -1,000 to 1,000"),
         ("push_at=-1", "must be from 0 to 3,600"),
-        ("terrain=-0.1", "must be from 0 to 1"),
-        ("terrain=1000", "must be from 0 to 1"),
+        ("terrain=-0.1", "terrain=-0.1 must have a level from 0 to 1, as in sine:0.5"),
+        ("terrain=steps:9", "terrain=steps:9 must have a level from 0 to 0.5"),
+        ("terrain=moon:0.1", "choose one of sine, slope, across, steps, rough, as in steps:0.1"),
         ("delay=1e9", "must be from 0 to 1,000"),
         ("delay=0.3", r"delay=0\.3 cannot be filmed; use a multiple of 0\.5 ms"),
         ("phase=2", "phase=2.0 must be from 0 to 1"),

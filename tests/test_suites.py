@@ -81,7 +81,7 @@ def test_the_highest_terrain_is_survived_from_all_phases(highest, expected):
     class Hilly(Settled):
         @staticmethod
         def falls(start, velocity, t, scenario):
-            return (start == 5) & (scenario.ground > highest)
+            return (start == 5) & (scenario.ground.sine > highest)
 
     assert values(suites.terrain(Still(), Hilly())) == {"terrain_h_m": expected}
 

@@ -65,7 +65,7 @@ def test_each_level_disturbs_as_it_says(monkeypatch):
     agent, setting = Still(), Standing()
     heights = [row["level"] for row in survival.terrain(agent, setting)]
     assert heights == [pytest.approx(k / 100) for k in range(81)]
-    assert [(trial.start, trial.terrain) for trial in flown] == [(k, h) for h in heights for k in range(8)]
+    assert [(trial.start, trial.terrain.level) for trial in flown] == [(k, h) for h in heights for k in range(8)]
     flown.clear()
     assert [row["level"] for row in survival.delay(agent, setting)] == list(range(41))
     # 2 steps a millisecond at 2 kHz.

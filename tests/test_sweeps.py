@@ -17,6 +17,7 @@ from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import PhysicsState, Scenario
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import namespace
+from cassie_mjx.robot.ground import Ground, Terrain
 
 CONTROL_STEPS_OF_10_S = 313
 ENGINES = pytest.mark.parametrize("engine", [points, compiled_points])
@@ -144,9 +145,13 @@ def test_a_fall_is_judged_over_the_ground_below():
     x = np.array([0.0, np.pi / 2, np.pi / 2, -np.pi / 2, -np.pi / 2, 0.0])
     qpos[:, 0], qpos[:, 2] = x, [0.7, 0.7, 0.9, 0.5, 0.95, np.nan]
     # Over crest and trough of h = 0.2 the heights are 0.7, 0.5, 0.7, 0.7, 1.15 and nothing.
-    np.testing.assert_array_equal(fallen(qpos, np.full(6, 0.2)), [False, True, False, False, False, True])
-    np.testing.assert_array_equal(fallen(qpos, np.full(6, 0.3)), [False, True, False, False, True, True])
-    np.testing.assert_array_equal(fallen(qpos, np.zeros(6)), [False, False, False, True, False, True])
+    np.testing.assert_array_equal(
+        fallen(qpos, Ground.of([Terrain("sine", 0.2)] * 6)), [False, True, False, False, False, True]
+    )
+    np.testing.assert_array_equal(
+        fallen(qpos, Ground.of([Terrain("sine", 0.3)] * 6)), [False, True, False, False, True, True]
+    )
+    np.testing.assert_array_equal(fallen(qpos, Ground.flat(6)), [False, False, False, True, False, True])
 
 
 @ENGINES
@@ -202,7 +207,7 @@ def test_effort_is_a_mean_over_time(engine):
 def test_terrain_begins_on_a_crest():
     agent = Still()
     starts = agent.start(None, np.zeros(2))
-    robots = placed(agent, starts, [Trial(1, 1.0, terrain=0.2), Trial(0, 1.0)])
+    robots = placed(agent, starts, [Trial(1, 1.0, terrain=Terrain("sine", 0.2)), Trial(0, 1.0)])
     np.testing.assert_allclose(robots.physics.qpos[:, :3], [[np.pi / 2, 0, 1.1], [0, 0, 0.9]])
     np.testing.assert_array_equal(robots.physics.qpos[:, -1], [1, 0])
     np.testing.assert_array_equal(starts.physics.qpos[:, 0], 0)

@@ -16,7 +16,7 @@ def test_the_grid_has_its_cells():
     assert {trial.delay for group in kinds["delay"].trials for trial in group} == set(range(4, 41, 4))
     for subset in kinds.values():
         strengths = [
-            [sum(np.hypot(*push[:2]) for push in t.pushes) + t.terrain + t.delay for t in group]
+            [sum(np.hypot(*push[:2]) for push in t.pushes) + t.terrain.level + t.delay for t in group]
             for group in subset.trials
         ]
         assert (np.diff(strengths, axis=1) > 0).all()

@@ -7,21 +7,21 @@ from cassie_mjx.control.command import MotionState, reference
 from cassie_mjx.motion.command import Command
 from cassie_mjx.motion.reference import ReferenceMotion, mean_speed
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X
-from cassie_mjx.robot.ground import CREST_X_M
+from cassie_mjx.robot.ground import START_X_M, Ground
 
 
-def start_motion(motion: ReferenceMotion, time: jax.Array, command: Command, ground: jax.Array) -> MotionState:
+def start_motion(motion: ReferenceMotion, time: jax.Array, command: Command, ground: Ground) -> MotionState:
     """The first moment of episodes.
 
     Args:
       motion: what is imitated.
       time: control step of the motion that they start at, [B].
       command: now and as a target.
-      ground: height h of the ground, [B], m; where it is above 0, the pelvis starts above a crest.
+      ground: of the robots, [B]; where it is not flat, the pelvis starts at `START_X_M`.
     """
     state = MotionState(time, jnp.zeros_like(time), command, command, jnp.zeros_like(command.forward))
     first, _ = reference(motion, state)
-    return state._replace(origin_x=(ground > 0) * (CREST_X_M - first[:, PELVIS_X]))
+    return state._replace(origin_x=ground.uneven * (START_X_M - first[:, PELVIS_X]))
 
 
 def command_of(motion: ReferenceMotion, factor: jax.Array) -> Command:

@@ -4,6 +4,7 @@ envs = gymnasium.make_vec("CassieMJX/Walk-v0", num_envs=64, speed="1x")
 """
 
 from collections.abc import Iterable
+from operator import itemgetter
 from typing import Any
 
 import jax
@@ -15,6 +16,7 @@ from cassie_mjx.envs.make import make_env
 from cassie_mjx.envs.types import WalkState
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.drawing import load_scene, open_renderer, place
+from cassie_mjx.robot.ground import Ground
 
 try:
     import gymnasium
@@ -147,7 +149,7 @@ class _Robots:
     def __init__(self, robots: int, speed: str, config: WalkConfig | str, physics_hz: int, motion: str) -> None:
         self._env = make_env(speed, robots, "native", physics_hz, config, motion)
         self._state: WalkState | None = None
-        self._renderers: dict[float, Any] = {}
+        self._renderers: dict[tuple[float, ...], Any] = {}
         inputs = self._env.law.observation.size
         self.spaces = Box(-np.inf, np.inf, (inputs,), np.float32), Box(-1.0, 1.0, (cassie.NU,), np.float32)
 
@@ -176,14 +178,17 @@ class _Robots:
         return self._state
 
     def frames(self, state: WalkState) -> tuple[np.ndarray, ...]:
-        return tuple(map(self._frame, np.asarray(state.physics.qpos), np.asarray(state.scenario.ground, float)))
+        grounds = jax.tree.map(np.asarray, state.scenario.ground)
+        each = (jax.tree.map(itemgetter(robot), grounds) for robot in range(self._env.robots))
+        return tuple(map(self._frame, np.asarray(state.physics.qpos), each))
 
-    def _frame(self, qpos: np.ndarray, ground: float) -> np.ndarray:
-        # A renderer has the terrain that it was opened with; there are few heights.
-        if ground not in self._renderers:
+    def _frame(self, qpos: np.ndarray, ground: Ground) -> np.ndarray:
+        # A renderer has the ground that it was opened with; there are few.
+        key = tuple(np.hstack(jax.tree.leaves(ground)).tolist())
+        if key not in self._renderers:
             scene = load_scene(ground)
-            self._renderers[ground] = open_renderer(scene, WIDTH, HEIGHT), mujoco.MjData(scene)
-        renderer, data = self._renderers[ground]
+            self._renderers[key] = open_renderer(scene, WIDTH, HEIGHT), mujoco.MjData(scene)
+        renderer, data = self._renderers[key]
         place(renderer, data, qpos, "three-quarter", ground)
         return renderer.render()
 

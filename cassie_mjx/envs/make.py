@@ -34,8 +34,7 @@ def make_env(
     config = find_config(config)
     factor, speeds = speed_factors(speed)
     check_engine(physics)
-    scene = "terrain" if config.scenario.terrain_m else "flat"
-    model = replace(ENGINES[physics].training, physics_hz=physics_hz, scene=scene)
+    model = replace(ENGINES[physics].training, physics_hz=physics_hz, scene=config.scenario.scene)
     engine = make_physics(physics, model, config.scenario.delay_steps(physics_hz))
     return WalkEnv(engine, stretch(load_motion(motion), factor), config, robots, speeds)
 

@@ -11,13 +11,16 @@ from cassie_mjx.configuration.values import Checked, Range
 from cassie_mjx.physics.types import Scenario, merge
 from cassie_mjx.robot.arrays import Array
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
+from cassie_mjx.robot.ground import Ground
 from cassie_mjx.robot.model import steps_per_control
 
 PUSH_S = 0.2
 """Duration of a push, s (Xie et al. 2018)."""
 
-TERRAIN_HEIGHTS = 8
-"""Heights above 0 that terrain is drawn from, evenly spaced: MuJoCo C compiles a model for each."""
+LEVELS = 8
+"""Levels above 0 that terrain is drawn from, evenly spaced: MuJoCo C compiles a model for each."""
+TRAINING_SEEDS = 4
+"""Rough grounds that robots are trained on, of `ROUGH_SEEDS`."""
 
 
 @dataclass(frozen=True)
@@ -33,13 +36,33 @@ class ScenarioConfig(Checked):
     """Time from the start of the episode, or from the end of the push before, to a push, s."""
     terrain_m: Annotated[float, Range(0, 1)] = 0.0
     """Height h of the terrain z = h sin x, m, one an episode."""
+    slope_rad: Annotated[float, Range(0, 0.6)] = 0.0
+    """Angle of a slope up, down, to the left or to the right, rad, one an episode. Of the kinds of terrain that are
+    above 0, each episode has one."""
+    steps_m: Annotated[float, Range(0, 0.5)] = 0.0
+    """Height of every other step of 0.7 m, m, one an episode."""
+    rough_m: Annotated[float, Range(0, 0.5)] = 0.0
+    """Band that 95% of the heights of rough ground lie in, m, one an episode."""
     delay_s: Annotated[float, Range(0, 0.1)] = 0.0
     """Age of the state that policy and PD loop see, s, one an episode; whole physics steps, rounded up."""
 
     @property
     def active(self) -> bool:
         """Whether anything is disturbed."""
-        return bool(self.push_n or self.terrain_m or self.delay_s)
+        return bool(self.push_n or self.delay_s or any(self.terrains.values()))
+
+    @property
+    def terrains(self) -> dict[str, float]:
+        """The highest level of each kind of terrain."""
+        levels = {"sine": self.terrain_m, "slope": self.slope_rad, "steps": self.steps_m, "rough": self.rough_m}
+        return {kind: level for kind, level in levels.items() if level}
+
+    @property
+    def scene(self) -> str:
+        """The least scene that has it all."""
+        if not self.terrains:
+            return "flat"
+        return "rough" if self.rough_m else "terrain"
 
     def delay_steps(self, physics_hz: float) -> int:
         """Longest delay, physics steps."""
@@ -66,14 +89,32 @@ def draw_scenario(
     # A push starts with a control step: within one, it would cut the physics' calls of all robots in two.
     longest = math.ceil(config.push_pause_s / CONTROL_PERIOD_S)
     start = jax.random.randint(pause_key, (robots, 1), 0, longest + 1) * steps_per_control(physics_hz)
-    level = jax.random.randint(terrain_key, (robots,), 0, TERRAIN_HEIGHTS + 1)
     return Scenario(
         push=(force * jnp.stack([forward, left, jnp.zeros(robots)], axis=1))[:, None],
         push_start=start,
         push_stop=start + round(PUSH_S * physics_hz),
         delay=jax.random.randint(delay_key, (robots,), 0, config.delay_steps(physics_hz) + 1),
-        ground=level * (config.terrain_m / TERRAIN_HEIGHTS),
+        ground=_draw_ground(config, terrain_key, robots),
         kd_scale=jnp.full(robots, kd_scale),
+    )
+
+
+def _draw_ground(config: ScenarioConfig, key: jax.Array, robots: int) -> Ground:
+    """One of the kinds of terrain for each robot, at one of nine levels, flat among them."""
+    level = jax.random.randint(key, (robots,), 0, LEVELS + 1) / LEVELS
+    kind_key, side_key, seed_key = jax.random.split(jax.random.fold_in(key, 1), 3)
+    kinds = config.terrains
+    chosen = jax.random.randint(kind_key, (robots,), 0, max(len(kinds), 1))
+    levels = {kind: level * highest * (chosen == i) for i, (kind, highest) in enumerate(kinds.items())}
+    zeros = jnp.zeros(robots)
+    sides = jnp.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    side = sides[jax.random.randint(side_key, (robots,), 0, len(sides))]
+    return Ground(
+        sine=levels.get("sine", zeros),
+        slope=levels.get("slope", zeros)[:, None] * side,
+        steps=levels.get("steps", zeros),
+        rough=levels.get("rough", zeros),
+        seed=jax.random.randint(seed_key, (robots,), 0, TRAINING_SEEDS),
     )
 
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array, namespace
-from cassie_mjx.robot.ground import height_below
+from cassie_mjx.robot.ground import Ground, height_below
 
 
 class Ends(NamedTuple):
@@ -18,9 +18,9 @@ class Ends(NamedTuple):
     """The robot is too far ahead of the reference motion, or behind it."""
 
 
-def height_over_ground(qpos: Array, ground: Array) -> Array:
-    """Height of the pelvis of qpos [..., 35] over the ground z = h sin x below it, m; `ground` is h, [...], m."""
-    return qpos[..., cassie.PELVIS_Z] - height_below(ground, qpos[..., cassie.PELVIS_X])
+def height_over_ground(qpos: Array, ground: Ground) -> Array:
+    """Height of the pelvis of qpos [..., 35] over the ground [...] below it, m."""
+    return qpos[..., cassie.PELVIS_Z] - height_below(ground, qpos[..., cassie.PELVIS_X], qpos[..., cassie.PELVIS_Y])
 
 
 def has_fallen(height: Array) -> Array:
@@ -50,6 +50,6 @@ def ends(
     )
 
 
-def fallen(qpos: Array, ground: Array) -> Array:
-    """Whether robots at qpos [..., 35] have fallen, on the ground z = h sin x, h [...], m."""
+def fallen(qpos: Array, ground: Ground) -> Array:
+    """Whether robots at qpos [..., 35] have fallen, on their ground, [...]."""
     return has_fallen(height_over_ground(qpos, ground))

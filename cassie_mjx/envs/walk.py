@@ -23,7 +23,7 @@ from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.types import Physics, Scenario, delayed, merge, to_backend
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
-from cassie_mjx.robot.ground import height_below
+from cassie_mjx.robot.ground import Ground, height_below
 from cassie_mjx.robot.model import steps_per_control
 
 # What the key of a step or reset is folded with for all but phases, which it draws as it is: `randint` splits it in
@@ -187,12 +187,12 @@ class WalkEnv:
         time: jax.Array,
         told: motions.Command,
         offset: StartOffset,
-        ground: jax.Array,
+        ground: Ground,
         key: jax.Array | None,
     ) -> Start:
         state = command.start_motion(self.motion, time, told, ground)
         qpos, qvel = motions.reference(self.motion, state)
-        qpos = qpos.at[:, cassie.PELVIS_POSITION[:2]].add(offset.position).at[:, cassie.PELVIS_Z].add(ground)
+        qpos = qpos.at[:, cassie.PELVIS_POSITION[:2]].add(offset.position).at[:, cassie.PELVIS_Z].add(ground.sine)
         qvel = qvel.at[:, cassie.HORIZONTAL_VELOCITY].add(offset.velocity)
         seen = self._seen(state, qpos, qvel)
         noise_key = None if key is None else jax.random.fold_in(key, _FRESH_NOISE_KEY)
@@ -250,10 +250,12 @@ class WalkEnv:
         )
 
     def _rewards(
-        self, qpos: jax.Array, reference: jax.Array, ground: jax.Array, nan: jax.Array
+        self, qpos: jax.Array, reference: jax.Array, ground: Ground, nan: jax.Array
     ) -> tuple[dict[str, jax.Array], reward.Terms, jax.Array]:
         """Both rewards, the terms of the one learned from, and qpos as on flat ground, where the reference walks."""
-        walked = qpos.at[:, cassie.PELVIS_Z].add(-height_below(ground, qpos[:, cassie.PELVIS_X]))
+        walked = qpos.at[:, cassie.PELVIS_Z].add(
+            -height_below(ground, qpos[:, cassie.PELVIS_X], qpos[:, cassie.PELVIS_Y])
+        )
         terms = {name: reward.terms(scale, walked, reference) for name, scale in reward.SCALES.items()}
         rewards = {name: jnp.where(nan, 0.0, reward.total(values)) for name, values in terms.items()}
         return rewards, terms[self.config.reward], walked

@@ -18,6 +18,7 @@ from cassie_mjx.evaluation.film import Shot
 from cassie_mjx.files.atomic import replacing
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.drawing import place
+from cassie_mjx.robot.ground import Ground
 
 # A push of 100 N is an arrow of 0.3 m; its head ends at the pelvis' skin, not at the centre of mass.
 ARROW_M_PER_N, ARROW_RADIUS_M, ARROW_GAP_M = 0.003, 0.02, 0.14
@@ -36,19 +37,19 @@ FASTEST_GIF = 50
 
 
 def draw_frames(
-    renderer: mujoco.Renderer, shots: Iterable[Shot], camera: str, terrain: float = 0.0
+    renderer: mujoco.Renderer, shots: Iterable[Shot], camera: str, ground: Ground | None = None
 ) -> Iterator[np.ndarray]:
     """Frames [height, width, 3], uint8, of the shots; a push is an arrow whose head is at the pelvis.
 
     Args:
-      renderer: of the scene of that terrain.
+      renderer: of the scene of that ground.
       shots: what to draw.
       camera: one of `CAMERAS`.
-      terrain: height h of the terrain z = h sin x, m.
+      ground: the robot's, flat unless given.
     """
     data = mujoco.MjData(renderer.model)
     for shot in shots:
-        place(renderer, data, shot.qpos, camera, terrain)
+        place(renderer, data, shot.qpos, camera, ground)
         if shot.push_w.any():
             _add_arrow(renderer.scene, data.xipos[cassie.PELVIS_BODY], shot.push_w)
         yield renderer.render()

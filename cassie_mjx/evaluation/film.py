@@ -38,8 +38,8 @@ def begin(agent: Agent, trial: Trial, phase: float) -> tuple[Physics, AgentState
     """The engine of a trial, and the one robot that starts it in steady walking at `phase` of its stride, 0 to 1."""
     physics = make_physics("native", ModelConfig(), trial.delay, threads=1)
     robots = placed(agent, steady(agent, physics, np.array([phase])), [trial])
-    if trial.terrain:
-        physics = make_physics("native", ModelConfig(scene="terrain"), trial.delay, threads=1)
+    if trial.terrain.level:
+        physics = make_physics("native", ModelConfig(scene=trial.terrain.ground.scene), trial.delay, threads=1)
     return physics, robots
 
 

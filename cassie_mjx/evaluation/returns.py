@@ -16,8 +16,8 @@ from cassie_mjx.motion.command import Command
 from cassie_mjx.motion.reference import ReferenceMotion, mean_speed, nearest_sample, sample
 from cassie_mjx.physics.types import Physics, PhysicsState, Scenario, merge, to_backend
 from cassie_mjx.robot.arrays import Array, namespace
-from cassie_mjx.robot.cassie import PELVIS_X, PELVIS_Z
-from cassie_mjx.robot.ground import height_below
+from cassie_mjx.robot.cassie import PELVIS_X, PELVIS_Y, PELVIS_Z
+from cassie_mjx.robot.ground import Ground, height_below
 
 CHOOSING_PHASES = np.arange(10) / 10
 """Phases of the stride that training measures from, and by which it chooses its best policy."""
@@ -75,14 +75,14 @@ class ReturnRecord:
 
 @jax.jit
 def _rewards(
-    motion: ReferenceMotion, time: Array, command: Command | None, qpos: Array, ground: Array
+    motion: ReferenceMotion, time: Array, command: Command | None, qpos: Array, ground: Ground
 ) -> tuple[jax.Array, jax.Array]:
     """Plain and weighted reward, [B]; 0 for a robot whose physics diverged."""
     reference, _ = sample(motion, time, command)
     nan = ~jnp.isfinite(qpos).all(axis=1)
     qpos = merge(nan, reference, qpos)
     # The reference walks on flat ground: its z counts from the ground below.
-    walked = qpos.at[:, PELVIS_Z].add(-height_below(ground, qpos[:, PELVIS_X]))
+    walked = qpos.at[:, PELVIS_Z].add(-height_below(ground, qpos[:, PELVIS_X], qpos[:, PELVIS_Y]))
     totals = (reward.total(reward.terms(reward.SCALES[name], walked, reference)) for name in ("plain", "weighted"))
     plain, weighted = (jnp.where(nan, 0.0, total) for total in totals)
     return plain, weighted

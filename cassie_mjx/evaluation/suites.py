@@ -14,9 +14,10 @@ from cassie_mjx.agents.types import Agent, AgentState
 from cassie_mjx.evaluation.pushes import forces, push, push_map
 from cassie_mjx.evaluation.returns import agent_returns
 from cassie_mjx.evaluation.scheduler import LimitSearch, run, run_trials
-from cassie_mjx.evaluation.setup import LIMIT_PHASES, WALK_PHASES, WALK_S, EvalSetup, SuiteResult
+from cassie_mjx.evaluation.setup import LIMIT_PHASES, LONG_WALK_S, WALK_PHASES, WALK_S, EvalSetup, SuiteResult
 from cassie_mjx.evaluation.trial import EpisodeResult, Metric, NeverSteady, Trial
 from cassie_mjx.physics.types import Physics
+from cassie_mjx.robot.ground import HIGHEST, Terrain
 
 TERRAIN_STEP_M, HIGHEST_TERRAIN_M = 0.01, 0.8
 LONGEST_DELAY_S = 0.04
@@ -62,9 +63,31 @@ def walking_metrics(result: EpisodeResult, suffix: str = "") -> list[Metric]:
 def terrain(agent: Agent, setup: EvalSetup) -> SuiteResult:
     """The largest h, at most 0.8 m, of the terrain z = h sin x that is survived from all of eight phases."""
     levels = round(HIGHEST_TERRAIN_M / TERRAIN_STEP_M)
-    lasting = _Lasting("terrain_h_m", "m", TERRAIN_STEP_M, levels, lambda level: {"terrain": TERRAIN_STEP_M * level})
+
+    def hills(level: int) -> dict[str, Any]:
+        return {"terrain": Terrain("sine", TERRAIN_STEP_M * level)}
+
+    lasting = _Lasting("terrain_h_m", "m", TERRAIN_STEP_M, levels, hills)
     starts = setup.starts(agent, LIMIT_PHASES)
     return SuiteResult(_limits(lasting, agent, setup.physics("terrain"), starts, setup))
+
+
+def ground(agent: Agent, setup: EvalSetup) -> SuiteResult:
+    """Slopes up, down and across, steps and rough ground, each to the largest level survived from all eight phases.
+
+    Slopes and steps are walked for 10 s, rough ground for 60 s.
+    """
+    starts = setup.starts(agent, LIMIT_PHASES)
+    metrics = []
+    for each in GROUNDS:
+
+        def disturb(level: int, each: _GroundLimit = each) -> dict[str, Any]:
+            return {"terrain": Terrain(each.kind, each.step * level)}
+
+        limit = _Lasting(each.quantity, each.unit, abs(each.step), round(HIGHEST[each.kind] / abs(each.step)), disturb)
+        physics = setup.physics("rough" if each.kind == "rough" else "terrain")
+        metrics += _limits(limit, agent, physics, starts, setup, each.seconds)
+    return SuiteResult(metrics)
 
 
 def delay(agent: Agent, setup: EvalSetup) -> SuiteResult:
@@ -84,6 +107,27 @@ def delay(agent: Agent, setup: EvalSetup) -> SuiteResult:
     return SuiteResult(metrics + _limits(lasting, agent, physics, starts, setup))
 
 
+class _GroundLimit(NamedTuple):
+    """A limit of the suite `ground`."""
+
+    quantity: str
+    kind: str
+    """Of terrain."""
+    step: float
+    """From level to level, m or rad; downhill and to the right below 0."""
+    unit: str
+    seconds: float = WALK_S
+
+
+GROUNDS = (
+    _GroundLimit("slope_up_max_rad", "slope", 0.05, "rad"),
+    _GroundLimit("slope_down_max_rad", "slope", -0.05, "rad"),
+    _GroundLimit("slope_across_max_rad", "across", 0.05, "rad"),
+    _GroundLimit("steps_max_m", "steps", 0.01, "m"),
+    _GroundLimit("rough_max_m", "rough", 0.01, "m", LONG_WALK_S),
+)
+
+
 class _Lasting(NamedTuple):
     """A disturbance that lasts as long as the trial, at levels from 1 on."""
 
@@ -96,10 +140,17 @@ class _Lasting(NamedTuple):
     """What a trial at a level has."""
 
 
-def _limits(lasting: _Lasting, agent: Agent, physics: Physics, starts: AgentState, setup: EvalSetup) -> list[Metric]:
-    """The largest level survived, with every smaller one, from all starts."""
+def _limits(
+    lasting: _Lasting,
+    agent: Agent,
+    physics: Physics,
+    starts: AgentState,
+    setup: EvalSetup,
+    walk_s: float | None = None,
+) -> list[Metric]:
+    """The largest level survived, with every smaller one, from all starts, for `walk_s` or the setup's durations."""
     metrics, levels, groups = [], lasting.levels, len(starts.physics.step)
-    for seconds, suffix in setup.durations:
+    for seconds, suffix in setup.durations if walk_s is None else ((walk_s, ""),):
 
         def trial(start: int, level: int, seconds: float = seconds) -> Trial:
             return Trial(start, seconds, **lasting.disturb(level + 1))
@@ -116,6 +167,7 @@ SUITES: dict[str, Suite] = {
     "walk": walk,
     "delay": delay,
     "terrain": terrain,
+    "ground": ground,
     "push": push,
     "map": push_map,
     "forces": forces,

@@ -12,7 +12,7 @@ from cassie_mjx.agents.types import Agent, AgentState
 from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.physics.types import PhysicsState, Scenario
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_POSITION, PELVIS_QUATERNION
-from cassie_mjx.robot.ground import CREST_X_M
+from cassie_mjx.robot.ground import FLAT, START_X_M, Ground, Terrain
 from cassie_mjx.robot.rotation import yaw
 
 AFTER_PUSH_S = 4.0
@@ -51,8 +51,8 @@ class Trial:
     """Duration, s; rounded up to whole control steps of 32 ms."""
     pushes: tuple[Push, ...] = ()
     """Forces at the pelvis; those at the same time add up."""
-    terrain: float = 0.0
-    """Height h of the terrain z = h sin x, m; above 0 the robot starts on a crest."""
+    terrain: Terrain = FLAT
+    """What it walks on; the robot starts on a crest of hills, and a metre before anything else begins."""
     delay: int = 0
     """Age of the state that agent and PD loop sense, physics steps."""
 
@@ -124,15 +124,15 @@ def scenario_of(agent: Agent, trials: Sequence[Trial], state: PhysicsState, hert
         push_start=start,
         push_stop=start + np.rint(seconds * hertz).astype(np.int32),
         delay=np.array([trial.delay for trial in trials], np.int32),
-        ground=np.array([trial.terrain for trial in trials], float),
+        ground=Ground.of([trial.terrain for trial in trials]),
         kd_scale=np.asarray(agent.kd_scale),
     )
 
 
 def placed(agent: Agent, starts: AgentState, trials: Sequence[Trial]) -> AgentState:
-    """The robots as which the trials start, [B]; those on terrain are carried onto its crest."""
-    height = np.array([trial.terrain for trial in trials])
-    offset = np.stack([CREST_X_M * (height > 0), np.zeros_like(height), height], axis=1)
+    """The robots as which the trials start, [B]; those on terrain are carried to where it starts."""
+    ground = Ground.of([trial.terrain for trial in trials])
+    offset = np.stack([START_X_M * ground.uneven, np.zeros(len(trials)), ground.sine], axis=1)
     return moved(agent, take(starts, np.array([trial.start for trial in trials])), offset)
 
 

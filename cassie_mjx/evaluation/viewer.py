@@ -23,6 +23,7 @@ from cassie_mjx.physics.types import BodyState, Physics, PhysicsState, Scenario
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
 from cassie_mjx.robot.drawing import load_scene
+from cassie_mjx.robot.ground import FLAT, Terrain
 from cassie_mjx.robot.model import servo_model
 
 # The viewer takes over state and mouse force so often.
@@ -69,16 +70,16 @@ class LivePhysics:
 class Live:
     """One robot that walks in one `MjData`, which steps as `NativePhysics` does while nobody touches it."""
 
-    def __init__(self, agent: Agent, terrain: float = 0.0) -> None:
+    def __init__(self, agent: Agent, terrain: Terrain = FLAT) -> None:
         """Bring the robot up to speed.
 
         Args:
           agent: what walks.
-          terrain: height h of the terrain z = h sin x, m.
+          terrain: what it walks on.
         """
         self.agent, self.terrain = agent, terrain
         kinematics, self._start = begin(agent, Trial(0, 0.0, terrain=terrain), 0.0)
-        self.model = servo_model(load_scene(terrain), agent.kd_scale)
+        self.model = servo_model(load_scene(terrain.ground), agent.kd_scale)
         self.physics = LivePhysics(self.model, kinematics)
         self.data = self.physics.data
         self._scenario = Scenario.nominal(1, kd_scale=np.asarray(agent.kd_scale))
@@ -97,7 +98,7 @@ class Live:
     @property
     def fallen(self) -> bool:
         """Whether the robot lies on the ground."""
-        return bool(has_fallen(height_over_ground(self.data.qpos, np.float64(self.terrain))))
+        return bool(has_fallen(height_over_ground(self.data.qpos, self.terrain.ground)))
 
 
 def keep_showing(viewer: mujoco.viewer.Handle, live: Live) -> None:

@@ -15,6 +15,7 @@ from cassie_mjx.physics.tree import Tree, cross
 from cassie_mjx.physics.types import BodyState, PhysicsState, Scenario, check_batch, check_delay, check_start, delayed
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
+from cassie_mjx.robot.ground import Ground, height_below
 
 # MJX announces on stdout that its optional Warp backend is not installed.
 with contextlib.redirect_stdout(io.StringIO()):
@@ -31,7 +32,7 @@ class MjxPhysics:
 
         Args:
           model: from `robot.model.load_mjx_model`. Flat floor and terrain are one model here: the floor under each
-            leg and the pelvis is a plane that follows the tangent of z = h sin x.
+            leg and the pelvis is a plane that follows the ground's tangent.
           max_delay: longest delay that a scenario will ask for, physics steps.
           precision: of matrix products, by the names of `jax.default_matmul_precision`. By default, accelerators
             round factors to 8 or 11 bits, which the loops' Jacobians do not bear.
@@ -120,17 +121,17 @@ class MjxPhysics:
         return np.stack(geoms()), mjx.make_data(self._mjx, self._device)._impl.contact.dim
 
     def dynamics(
-        self, m: mjx.Model, d: mjx.Data, torque: jax.Array, push: jax.Array, h: jax.Array
+        self, m: mjx.Model, d: mjx.Data, torque: jax.Array, push: jax.Array, ground: Ground
     ) -> tuple[jax.Array, jax.Array, newton.Solution]:
-        """Forward dynamics of one robot under joint torques [10] and a push [3] on a ground of height h.
+        """Forward dynamics of one robot under joint torques [10] and a push [3] on its ground.
 
         Returns the inertia [nv, nv], the joint forces [nv] of all but the constraints, and what the constraints make of
         them.
         """
         # At the origin, for far from it float32 would take rounding for gaps in the loops.
-        x, d = d.qpos[0], d.replace(qpos=jnp.concatenate([jnp.zeros(2, d.qpos.dtype), d.qpos[2:]]))
+        origin, d = d.qpos[:2], d.replace(qpos=jnp.concatenate([jnp.zeros(2, d.qpos.dtype), d.qpos[2:]]))
         d = self._tree.kinematics(m, d)
-        d = mjx.collision(m, self._floors.place(d, x, h))
+        d = mjx.collision(m, self._floors.place(d, origin, ground))
         motion = self._tree.motion(m, d)
         mass = self._tree.mass_matrix(m, motion)
         arm = d.xipos[cassie.PELVIS_BODY] - motion.com
@@ -159,7 +160,10 @@ def _as_floats(dtype: jnp.dtype, x: Array) -> jax.Array:
 
 
 class _Floors:
-    """The planes under the left leg, the right leg and the pelvis as tangents of the terrain z = h sin x."""
+    """The planes under the left leg, the right leg and the pelvis as tangents of the ground.
+
+    On steps they are level, so that a foot on an edge stands on the tread under its middle.
+    """
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.count = 3
@@ -167,17 +171,18 @@ class _Floors:
             raise ValueError("The model does not begin with the three floors; robot.model.load_mjx_model makes it.")
         self.foot_centre = (cassie.TOE + cassie.HEEL) / 2
 
-    def place(self, d: mjx.Data, origin: jax.Array, h: jax.Array) -> mjx.Data:
-        """The planes where the robot stands whose x counts from `origin`, m."""
-        feet = [(d.xpos[body] + d.xmat[body] @ self.foot_centre.astype(d.qpos.dtype))[0] for body in cassie.FOOT_BODIES]
-        near = jnp.stack([*feet, d.qpos[0]])
-        x = origin + near
-        slope, zero, one = h * jnp.cos(x), jnp.zeros_like(x), jnp.ones_like(x)
-        position = jnp.stack([near, zero, h * jnp.sin(x)], axis=1)
-        # Columns of each rotation: the tangent (1, 0, h cos x) / n, the y axis, the normal (-h cos x, 0, 1) / n.
-        n = jnp.sqrt(1 + slope**2)
-        rotation = jnp.stack([1 / n, zero, -slope / n, zero, one, zero, slope / n, zero, 1 / n], axis=1)
+    def place(self, d: mjx.Data, origin: jax.Array, ground: Ground) -> mjx.Data:
+        """The planes where the robot stands whose x and y count from `origin` [2], m."""
+        foot_centre = self.foot_centre.astype(d.qpos.dtype)
+        feet = [(d.xpos[body] + d.xmat[body] @ foot_centre)[:2] for body in cassie.FOOT_BODIES]
+        near = jnp.stack([*feet, d.qpos[:2]])
+        z, slope = jax.vmap(jax.value_and_grad(lambda xy: height_below(ground, *xy)))(origin + near)
+        zx, zy = slope.T
+        # Columns of each rotation: the tangent (1, 0, z_x) / m, the normal (-z_x, -z_y, 1) / n times it, the normal.
+        m, n = jnp.sqrt(1 + zx**2), jnp.sqrt(1 + zx**2 + zy**2)
+        rows = [1 / m, -zx * zy / (m * n), -zx / n, jnp.zeros_like(z), m / n, -zy / n, zx / m, zy / (m * n), 1 / n]
+        rotation = jnp.stack(rows, axis=1)
         return d.replace(
-            geom_xpos=jnp.concatenate([position, d.geom_xpos[self.count :]]),
+            geom_xpos=jnp.concatenate([jnp.column_stack([near, z]), d.geom_xpos[self.count :]]),
             geom_xmat=jnp.concatenate([rotation.reshape(-1, 3, 3), d.geom_xmat[self.count :]]),
         )

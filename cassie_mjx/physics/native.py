@@ -13,11 +13,8 @@ from mujoco.batch import Batch
 from cassie_mjx.physics.types import BodyState, PhysicsState, Scenario, check_batch, check_delay, check_start, delayed
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
-from cassie_mjx.robot.ground import set_terrain
+from cassie_mjx.robot.ground import Ground, set_terrain
 from cassie_mjx.robot.model import servo_model
-
-MODEL_PARAMETERS = ("ground", "kd_scale")
-"""Fields of a `Scenario` that make another compiled model; robots with the same values share one."""
 
 
 def cores() -> int:
@@ -39,7 +36,8 @@ class NativePhysics:
         """Make the engine of one model.
 
         Args:
-          model: from `robot.model.load_model`; only a terrain scene has a `Scenario.ground` that is not flat.
+          model: from `robot.model.load_model`; only its terrain and rough scenes have a
+            `Scenario.ground` that is not flat.
           max_delay: longest delay that a scenario will ask for, physics steps; 0 for the faster path.
           threads: size of the pool; 0 for all `cores`.
         """
@@ -63,11 +61,8 @@ class NativePhysics:
         """See `Physics.advance`."""
         check_batch(state, target, scenario)
         check_delay(scenario, self.max_delay)
-        if not self._terrain and np.any(scenario.ground):
-            height = np.max(scenario.ground)
-            raise ValueError(
-                f"A terrain of {height:g} m was asked of a flat scene; load the model with scene='terrain'."
-            )
+        if not self._terrain and np.any(scenario.ground.uneven):
+            raise ValueError("Uneven ground was asked of a flat scene; load the model with scene='terrain' or 'rough'.")
         pool = self._load(state, scenario)
         if not self.max_delay:
             pool.ctrl[:] = target
@@ -101,20 +96,21 @@ class NativePhysics:
         if batch_size not in self._batches:
             self._batches[batch_size] = _Pool(Batch(self.model, batch_size, self._threads))
         pool = self._batches[batch_size]
-        parameters = np.stack([getattr(scenario, name) for name in MODEL_PARAMETERS], axis=1)
+        parameters = _model_parameters(scenario)
         if not np.array_equal(pool.parameters, parameters):
             pool.parameters = parameters
             rows = [tuple(row) for row in parameters.tolist()]
-            self._models = {row: self._models.get(row) or self._model_of(*row) for row in set(rows)}
+            self._models = {row: self._models.get(row) or self._model_of(row) for row in set(rows)}
             pool.batch.set_models([self._models[row] for row in rows])
         pool.qpos[:], pool.qvel[:], pool.warmstart[:] = state.qpos, state.qvel, state.qacc_warmstart
         return pool
 
-    def _model_of(self, ground: float, kd_scale: float) -> mujoco.MjModel:
-        """The model of robots with these `MODEL_PARAMETERS`; with delay, the PD law is not a part of it."""
+    def _model_of(self, parameters: tuple[float, ...]) -> mujoco.MjModel:
+        """The model of robots with these `_model_parameters`; with delay, the PD law is not a part of it."""
+        kd_scale, sine, ahead, aside, steps, rough, seed = parameters
         model = copy.copy(self.model) if self.max_delay else servo_model(self.model, kd_scale)
         if self._terrain:
-            set_terrain(model, ground)
+            set_terrain(model, Ground(sine, np.array([ahead, aside]), steps, rough, int(seed)))
         return model
 
 
@@ -152,6 +148,14 @@ class _Kinematics:
             cvel=self.bound["cvel"].copy(),
             com=self.bound["subtree_com"][:, cassie.PELVIS_BODY].copy(),
         )
+
+
+def _model_parameters(scenario: Scenario) -> np.ndarray:
+    """What makes another compiled model, a row a robot; robots with the same values share one."""
+    ground = scenario.ground
+    # The seed of ground that is not rough makes no difference.
+    seed = np.where(ground.rough == 0, 0, ground.seed)
+    return np.column_stack([scenario.kd_scale, ground.sine, ground.slope, ground.steps, ground.rough, seed])
 
 
 def _force_segments(step: np.ndarray, scenario: Scenario, n_steps: int) -> Iterator[tuple[int, int]]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array, namespace
+from cassie_mjx.robot.ground import Ground
 
 T = TypeVar("T")
 
@@ -44,7 +45,7 @@ class Scenario:
       push_start: first physics step under each push, [B, P], int32, counted as `PhysicsState.step`.
       push_stop: first physics step after each push, [B, P], int32.
       delay: age of the state that the PD loop and the agent sense, [B], int32, physics steps.
-      ground: height h of the ground z = h sin x, [B], m.
+      ground: what each robot walks on, [B].
       kd_scale: factor on the D gains of the PD law, [B].
     """
 
@@ -52,26 +53,29 @@ class Scenario:
     push_start: Array
     push_stop: Array
     delay: Array
-    ground: Array
+    ground: Ground
     kd_scale: Array
 
     @classmethod
-    def nominal(cls, robots: int, pushes: int = 1, **changes: Array) -> "Scenario":
-        """Undisturbed walking of `robots` nominal robots on a flat floor, but for `changes`: [B, ...] or one value.
+    def nominal(cls, robots: int, pushes: int = 1, ground: Ground | None = None, **changes: Array) -> "Scenario":
+        """Undisturbed walking of nominal robots on a flat floor, but for what is given.
 
-        `pushes` is P, how many pushes there is room for.
+        Args:
+          robots: B.
+          pushes: P, how many pushes there is room for.
+          ground: of each robot, [B].
+          changes: other fields, [B, ...] or one value.
         """
-        steps, zeros = np.zeros((robots, pushes), np.int32), np.zeros(robots)
+        steps = np.zeros((robots, pushes), np.int32)
         values = {
             "push": np.zeros((robots, pushes, 3)),
             "push_start": steps,
             "push_stop": steps,
             "delay": steps[:, 0],
-            "ground": zeros,
             "kd_scale": np.ones(robots),
         }
         given = {name: np.broadcast_to(value, values[name].shape) for name, value in changes.items()}
-        return cls(**(values | given))
+        return cls(**(values | given), ground=Ground.flat(robots) if ground is None else ground)
 
     def force(self, step: Array) -> Array:
         """Sum of the pushes that act in physics step `step` [B], [B, 3], N, world frame."""
@@ -162,13 +166,19 @@ def check_batch(state: PhysicsState, target: Array, scenario: Scenario) -> None:
     """Raise ValueError unless state, targets and scenario describe the same number of robots."""
     robots = state.qpos.shape[0]
     pushes = scenario.push.shape[1] if scenario.push.ndim == 3 else 1
-    tails = {"push": (pushes, 3), "push_start": (pushes,), "push_stop": (pushes,)}
-    for name, array, tail in (
-        ("target", target, (cassie.NU,)),
-        *((f"scenario.{f.name}", getattr(scenario, f.name), tails.get(f.name, ())) for f in fields(scenario)),
-    ):
-        if array.shape != (robots, *tail):
-            raise ValueError(f"{name} has shape {array.shape}; for {robots} robots it must be {(robots, *tail)}.")
+    tails = {
+        "push": (pushes, 3),
+        "push_start": (pushes,),
+        "push_stop": (pushes,),
+        "slope": (2,),
+        "target": (cassie.NU,),
+    }
+    given = {f"scenario.{f.name}": getattr(scenario, f.name) for f in fields(scenario) if f.name != "ground"}
+    ground = {f"scenario.ground.{f.name}": getattr(scenario.ground, f.name) for f in fields(Ground)}
+    for name, array in {"target": target, **given, **ground}.items():
+        expected = robots, *tails.get(name.split(".")[-1], ())
+        if array.shape != expected:
+            raise ValueError(f"{name} has shape {array.shape}; for {robots} robots it must be {expected}.")
 
 
 def check_start(qpos: Array, qvel: Array) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from mujoco.rendering.classic import gl_context
 
 from cassie_mjx import starting
-from cassie_mjx.robot.ground import set_terrain
+from cassie_mjx.robot.ground import FLAT, Ground, height_below, set_terrain
 from cassie_mjx.robot.model import xml_path
 
 CAMERAS = ("three-quarter", "side", "front")
@@ -22,11 +22,15 @@ BACKENDS = ("egl", "osmesa")
 _PROBE = "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 8, 8).render()"
 
 
-def load_scene(terrain: float = 0.0) -> mujoco.MjModel:
-    """A scene with all that is for the eyes, on the terrain z = h sin x, m; its physics is that of `ModelConfig()`."""
-    scene = mujoco.MjModel.from_xml_path(str(xml_path("terrain" if terrain else "flat")))
-    if terrain:
-        set_terrain(scene, terrain)
+def load_scene(ground: Ground | None = None) -> mujoco.MjModel:
+    """A scene with all that is for the eyes, on one robot's ground, flat unless given.
+
+    Its physics is that of `ModelConfig()`.
+    """
+    ground = FLAT.ground if ground is None else ground
+    scene = mujoco.MjModel.from_xml_path(str(xml_path(ground.scene)))
+    if scene.nhfield:
+        set_terrain(scene, ground)
     return scene
 
 
@@ -66,18 +70,21 @@ def open_renderer(scene: mujoco.MjModel, width: int, height: int) -> mujoco.Rend
     return mujoco.Renderer(scene, height, width)
 
 
-def place(renderer: mujoco.Renderer, data: mujoco.MjData, qpos: np.ndarray, camera: str, terrain: float = 0.0) -> None:
+def place(
+    renderer: mujoco.Renderer, data: mujoco.MjData, qpos: np.ndarray, camera: str, ground: Ground | None = None
+) -> None:
     """Put the robot into the scene, for `renderer.render()` to draw.
 
     Args:
-      renderer: of the scene of that terrain.
+      renderer: of the scene of that ground.
       data: of the same scene.
       qpos: the robot's, [35].
       camera: one of `CAMERAS`.
-      terrain: height h of the terrain z = h sin x, m.
+      ground: the robot's, flat unless given.
     """
     data.qpos[:] = qpos
     mujoco.mj_forward(renderer.model, data)
-    lowest = terrain * np.sin(data.cam_xpos[:, 0]) + LOWEST_CAMERA_M
+    x, y, _ = data.cam_xpos.T
+    lowest = height_below(FLAT.ground if ground is None else ground, x, y) + LOWEST_CAMERA_M
     data.cam_xpos[:, 2] = np.maximum(data.cam_xpos[:, 2], lowest)
     renderer.update_scene(data, camera)

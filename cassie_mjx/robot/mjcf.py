@@ -72,8 +72,8 @@ def missing(spec: mujoco.MjSpec, scene: str) -> list[str]:
     pelvis = spec.body("cassie-pelvis")
     if pelvis and _slides_and_ball(pelvis.joints):
         phrases.append("its slides and ball are no free joint: they have forces of their own, or not the axes x, y, z")
-    if scene == "terrain" and not list(spec.hfields):
-        phrases.append("it lacks the height field of scene='terrain'")
+    if scene != "flat" and not list(spec.hfields):
+        phrases.append(f"it lacks the height field of scene={scene!r}")
     # Geoms without a use in the simulation are deleted, and with them what they would weigh.
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         phrases.append("its compiler takes inertia from geoms")

@@ -14,7 +14,7 @@ from cassie_mjx.configuration.values import Checked, Range
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.mjcf import WALKING_PAIRS, differing, free_root, missing
 
-SCENES = ("flat", "terrain")
+SCENES = ("flat", "terrain", "rough")
 
 CONTACTS = ("walking", "full", "published")
 
@@ -32,7 +32,7 @@ class ModelConfig(Checked):
     physics_hz: PhysicsHz = 2000
     """Physics steps a second; a whole number of them must fit in the 32 ms of a control step."""
     scene: str = "flat"
-    """"flat" or "terrain" (z = h sin x)."""
+    """"flat", "terrain" (hills, slopes and steps) or "rough" (any `robot.ground.Ground`)."""
     contacts: str = "full"
     """"walking": the feet with the floor alone; "full": also shanks and pelvis with the floor, and leg with leg;
     "published": also the thighs with the floor, as in the published model."""

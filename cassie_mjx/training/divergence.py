@@ -15,7 +15,7 @@ so again in MuJoCo C.
 """
 
 import copy
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.ppo.rollout import collect_on_host
 from cassie_mjx.ppo.types import Policy
 from cassie_mjx.robot.arrays import Array
-from cassie_mjx.robot.ground import set_terrain
+from cassie_mjx.robot.ground import Ground, set_terrain
 from cassie_mjx.robot.model import ModelConfig, load_model, servo_model
 
 Divergence = dict[str, Any]
@@ -63,12 +63,15 @@ def dump(folder: Path, physics: Physics, divergence: Divergence) -> None:
       OSError: they cannot be written.
     """
     folder.mkdir(parents=True)
-    model, height = physics.model, float(divergence["ground"])
-    if height and not model.nhfield:  # on MJX the terrain is planes that move
-        model = load_model(ModelConfig(physics_hz=round(1 / model.opt.timestep), scene="terrain"))
+    model, ground = (
+        physics.model,
+        Ground(**{field.name: divergence[f"ground_{field.name}"] for field in fields(Ground)}),
+    )
+    if ground.uneven and not model.nhfield:  # on MJX the terrain is planes that move
+        model = load_model(ModelConfig(physics_hz=round(1 / model.opt.timestep), scene=ground.scene))
     model = servo_model(model, float(divergence["kd_scale"]))
     if model.nhfield:
-        set_terrain(model, height)
+        set_terrain(model, ground)
     mujoco.mj_saveModel(model, str(folder / "model.mjb"))
     np.savez(folder / "before.npz", **divergence)
 
@@ -85,7 +88,8 @@ class _WatchedPhysics:
         after = self._advance(state, target, scenario, n_steps)
         lost = np.flatnonzero(~np.isfinite(np.concatenate([after.qpos, after.qvel], axis=1)).all(axis=1))
         if len(lost) and self.divergence is None:
-            fields = asdict(state) | asdict(scenario) | {"target": target}
-            self.divergence = {name: np.asarray(value)[lost[0]] for name, value in fields.items()}
+            given = asdict(state) | asdict(scenario) | {"target": target}
+            given |= {f"ground_{name}": value for name, value in given.pop("ground").items()}
+            self.divergence = {name: np.asarray(value)[lost[0]] for name, value in given.items()}
             self.divergence["n_steps"] = n_steps
         return after

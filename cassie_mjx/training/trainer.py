@@ -102,8 +102,7 @@ class Trainer:
         update = partial(learner.update, config.ppo)
         solver = ENGINES[config.physics].training
         model_hz = config.physics_hz or solver.physics_hz
-        scene = "terrain" if config.walk.scenario.terrain_m else "flat"
-        model = replace(solver, physics_hz=model_hz, scene=scene, contacts=config.contacts)
+        model = replace(solver, physics_hz=model_hz, scene=config.walk.scenario.scene, contacts=config.contacts)
         physics = make_physics(config.physics, model, config.walk.scenario.delay_steps(model_hz))
         _, speeds = speed_factors(config.speed)
         if physics.traceable:
