@@ -86,7 +86,7 @@ def main(config: LoweringConfig) -> None:
     out = cli.check_output(config.out, cli.RESULT, config.overwrite)
     rows: list[dict[str, Any]] = []
     for contacts in ("walking", "full"):
-        physics = MjxPhysics(load_mjx_model(replace(MJX_TRAINING, contacts=contacts)))
+        physics = MjxPhysics(load_mjx_model(replace(MJX_TRAINING, contacts=contacts)), scene="flat")
         for platform in config.platforms:
             counts = operations(step_text(physics, platform))
             kinds = {name: counts[name] for name in COUNTED}

@@ -94,7 +94,7 @@ def main(config: SolverConfig) -> None:
             add("native", model, NativePhysics(load_model(model)), "ours")
         for iterations, ls_iterations in ((1, 2), (2, 2), (3, 2), (4, 3), (8, 8)):
             model = ModelConfig(physics_hz=hz, iterations=iterations, ls_iterations=ls_iterations)
-            add("mjx", model, MjxPhysics(load_mjx_model(model)), "ours")
+            add("mjx", model, MjxPhysics(load_mjx_model(model), scene="flat"), "ours")
     cli.write_result(out, {"rows": rows, "provenance": cli.provenance(seed=config.seed)})
 
 

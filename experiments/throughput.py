@@ -116,7 +116,7 @@ def time_native(config: ThroughputConfig, model: ModelConfig, robots: int, threa
 
 def time_mjx(config: ThroughputConfig, model: ModelConfig, robots: int) -> dict[str, Any]:
     """Physics steps/s of `MjxPhysics`, and the seconds of its first call, which compiles."""
-    physics = MjxPhysics(load_mjx_model(model))
+    physics = MjxPhysics(load_mjx_model(model), scene="flat")
     steps = steps_per_control(model.physics_hz)
     targets = swinging_targets(robots, config.control_steps, config.seed).astype(np.float32)
     qpos = np.tile(standing(physics.model), (robots, 1)).astype(np.float32)

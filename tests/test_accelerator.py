@@ -27,7 +27,7 @@ BUDGET = {"while": 1, "gather": 80, "scatter": 0}
 
 @cache
 def lowered(platform):
-    return lowering.step_text(MjxPhysics(load_mjx_model(MJX_TRAINING)), platform)
+    return lowering.step_text(MjxPhysics(load_mjx_model(MJX_TRAINING), scene="flat"), platform)
 
 
 def test_a_physics_step_keeps_to_its_budget_on_a_gpu():

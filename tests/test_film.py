@@ -8,16 +8,20 @@ from cassie_mjx.evaluation.film import film
 from cassie_mjx.evaluation.scheduler import run_trials
 from cassie_mjx.evaluation.trial import Push, Trial, placed
 from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.robot.ground import Terrain
 from cassie_mjx.robot.model import ModelConfig, load_model
+
+HILLS = Terrain("sine", 0.05)
 
 
 @pytest.mark.parametrize(
-    "disturbed", [{}, {"pushes": (Push(60.0, -20.0),)}, {"delay": 7}, {"terrain": 0.05}, {"terrain": 0.05, "delay": 3}]
+    "disturbed",
+    [{}, {"pushes": (Push(60.0, -20.0),)}, {"delay": 7}, {"terrain": HILLS}, {"terrain": HILLS, "delay": 3}],
 )
 def test_a_film_shows_the_trial_that_is_measured(disturbed):
     """Thirty control steps, filmed at 100 frames a second, end in the state that `run_trials` measures."""
     agent, trial = Swaying(), Trial(0, 0.96, **disturbed)
-    physics = NativePhysics(load_model(ModelConfig(scene="terrain" if trial.terrain else "flat")), trial.delay)
+    physics = NativePhysics(load_model(ModelConfig(scene=trial.terrain.ground.scene)), trial.delay)
     starts = agent.start(physics, np.zeros(1))
     result = run_trials(agent, physics, starts, [trial])
     first, *_, last = film(agent, Trial(0, 0.97, **disturbed), fps=100)

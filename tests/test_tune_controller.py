@@ -41,10 +41,10 @@ def test_search_starts_at_the_shipped_preset(preset):
 
 def test_a_candidate_goes_through_every_kind_of_trial():
     listed = trials(DEMANDS["compliant"])
-    forces = {trial.push for kind, trial in listed if kind == "backward"}
+    forces = {trial.pushes[0][:2] for kind, trial in listed if kind == "backward"}
     assert forces == {(-120.0, 0.0), (-170.0, 0.0), (-200.0, 0.0)}
     assert {trial.start for kind, trial in listed if kind == "left"} == set(range(8))
-    assert {trial.terrain for kind, trial in listed if kind == "terrain"} == {0.3}
+    assert {trial.terrain.level for kind, trial in listed if kind == "terrain"} == {0.3}
 
 
 def test_a_clock_that_hurries_in_steady_walking_is_told():

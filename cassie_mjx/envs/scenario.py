@@ -49,7 +49,7 @@ class ScenarioConfig(Checked):
     @property
     def active(self) -> bool:
         """Whether anything is disturbed."""
-        return bool(self.push_n or self.delay_s or any(self.terrains.values()))
+        return bool(self.push_n or self.delay_s or self.terrains)
 
     @property
     def terrains(self) -> dict[str, float]:

@@ -47,7 +47,7 @@ def _mjx(config: ModelConfig, max_delay: int, threads: int) -> Physics:
     # Here, for whoever stays on MuJoCo C need not wait for it.
     from cassie_mjx.physics.mjx import MjxPhysics
 
-    return MjxPhysics(load_mjx_model(config), max_delay)
+    return MjxPhysics(load_mjx_model(config), max_delay, config.scene)
 
 
 ENGINES = {

@@ -12,10 +12,19 @@ import numpy as np
 from cassie_mjx.physics import newton
 from cassie_mjx.physics.constraints import Constraints
 from cassie_mjx.physics.tree import Tree, cross
-from cassie_mjx.physics.types import BodyState, PhysicsState, Scenario, check_batch, check_delay, check_start, delayed
+from cassie_mjx.physics.types import (
+    BodyState,
+    PhysicsState,
+    Scenario,
+    check_batch,
+    check_delay,
+    check_ground,
+    check_start,
+    delayed,
+)
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
-from cassie_mjx.robot.ground import Ground, height_below
+from cassie_mjx.robot.ground import Ground, height_below, smooth_height_below
 
 # MJX announces on stdout that its optional Warp backend is not installed.
 with contextlib.redirect_stdout(io.StringIO()):
@@ -27,13 +36,16 @@ class MjxPhysics:
 
     traceable = True
 
-    def __init__(self, model: mujoco.MjModel, max_delay: int = 0, precision: str = "highest") -> None:
+    def __init__(
+        self, model: mujoco.MjModel, max_delay: int = 0, scene: str = "rough", precision: str = "highest"
+    ) -> None:
         """Put the model on the device.
 
         Args:
           model: from `robot.model.load_mjx_model`. Flat floor and terrain are one model here: the floor under each
             leg and the pelvis is a plane that follows the ground's tangent.
           max_delay: longest delay that a scenario will ask for, physics steps.
+          scene: the ground that scenarios can have; with less, a step is shorter.
           precision: of matrix products, by the names of `jax.default_matmul_precision`. By default, accelerators
             round factors to 8 or 11 bits, which the loops' Jacobians do not bear.
         """
@@ -41,7 +53,7 @@ class MjxPhysics:
         self._device = jax.local_devices()[0]
         self.model, self._mjx = model, mjx.put_model(model, self._device)
         self.max_delay = max_delay
-        self._floors, self._tree = _Floors(model), Tree(model)
+        self._scene, self._floors, self._tree = scene, _Floors(model, scene), Tree(model)
         self._motors = np.eye(model.nv)[:, cassie.ACTIVE_QVEL]
         self._pushed = self._tree.moves[cassie.PELVIS_BODY]
         self._constraints = Constraints(model, self._tree, *self._touching())
@@ -63,6 +75,8 @@ class MjxPhysics:
         check_batch(state, target, scenario)
         if not isinstance(scenario.delay, jax.core.Tracer):
             check_delay(scenario, self.max_delay)
+        if not isinstance(scenario.ground.sine, jax.core.Tracer):
+            check_ground(scenario, self._scene)
         return self._advance(state, target, scenario, n_steps)
 
     def bodies(self, state: PhysicsState) -> BodyState:
@@ -165,18 +179,22 @@ class _Floors:
     On steps they are level, so that a foot on an edge stands on the tread under its middle.
     """
 
-    def __init__(self, model: mujoco.MjModel) -> None:
+    def __init__(self, model: mujoco.MjModel, scene: str) -> None:
         self.count = 3
+        self.height_below = {"flat": None, "terrain": smooth_height_below, "rough": height_below}[scene]
         if [model.geom(i).name for i in range(self.count)] != ["left-floor", "right-floor", "pelvis-floor"]:
             raise ValueError("The model does not begin with the three floors; robot.model.load_mjx_model makes it.")
         self.foot_centre = (cassie.TOE + cassie.HEEL) / 2
 
     def place(self, d: mjx.Data, origin: jax.Array, ground: Ground) -> mjx.Data:
         """The planes where the robot stands whose x and y count from `origin` [2], m."""
+        if self.height_below is None:
+            return d
+        height = self.height_below
         foot_centre = self.foot_centre.astype(d.qpos.dtype)
         feet = [(d.xpos[body] + d.xmat[body] @ foot_centre)[:2] for body in cassie.FOOT_BODIES]
         near = jnp.stack([*feet, d.qpos[:2]])
-        z, slope = jax.vmap(jax.value_and_grad(lambda xy: height_below(ground, *xy)))(origin + near)
+        z, slope = jax.vmap(jax.value_and_grad(lambda xy: height(ground, *xy)))(origin + near)
         zx, zy = slope.T
         # Columns of each rotation: the tangent (1, 0, z_x) / m, the normal (-z_x, -z_y, 1) / n times it, the normal.
         m, n = jnp.sqrt(1 + zx**2), jnp.sqrt(1 + zx**2 + zy**2)

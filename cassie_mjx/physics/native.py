@@ -10,7 +10,16 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from cassie_mjx.physics.types import BodyState, PhysicsState, Scenario, check_batch, check_delay, check_start, delayed
+from cassie_mjx.physics.types import (
+    BodyState,
+    PhysicsState,
+    Scenario,
+    check_batch,
+    check_delay,
+    check_ground,
+    check_start,
+    delayed,
+)
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
 from cassie_mjx.robot.ground import Ground, set_terrain
@@ -44,7 +53,7 @@ class NativePhysics:
         self.model = model
         self.max_delay = max_delay
         self._threads = threads or cores()
-        self._terrain = model.nhfield > 0
+        self._scene = "flat" if not model.nhfield else "terrain" if model.hfield_nrow[0] == 2 else "rough"
         self._models: dict[tuple[float, ...], mujoco.MjModel] = {}
         self._batches: dict[int, _Pool] = {}
         self._kinematics: dict[int, _Kinematics] = {}
@@ -61,8 +70,7 @@ class NativePhysics:
         """See `Physics.advance`."""
         check_batch(state, target, scenario)
         check_delay(scenario, self.max_delay)
-        if not self._terrain and np.any(scenario.ground.uneven):
-            raise ValueError("Uneven ground was asked of a flat scene; load the model with scene='terrain' or 'rough'.")
+        check_ground(scenario, self._scene)
         pool = self._load(state, scenario)
         if not self.max_delay:
             pool.ctrl[:] = target
@@ -109,7 +117,7 @@ class NativePhysics:
         """The model of robots with these `_model_parameters`; with delay, the PD law is not a part of it."""
         kd_scale, sine, ahead, aside, steps, rough, seed = parameters
         model = copy.copy(self.model) if self.max_delay else servo_model(self.model, kd_scale)
-        if self._terrain:
+        if model.nhfield:
             set_terrain(model, Ground(sine, np.array([ahead, aside]), steps, rough, int(seed)))
         return model
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array, namespace
-from cassie_mjx.robot.ground import Ground
+from cassie_mjx.robot.ground import SCENES, Ground
 
 T = TypeVar("T")
 
@@ -179,6 +179,13 @@ def check_batch(state: PhysicsState, target: Array, scenario: Scenario) -> None:
         expected = robots, *tails.get(name.split(".")[-1], ())
         if array.shape != expected:
             raise ValueError(f"{name} has shape {array.shape}; for {robots} robots it must be {expected}.")
+
+
+def check_ground(scenario: Scenario, scene: str) -> None:
+    """Raise ValueError unless an engine of this scene has the ground of all robots."""
+    needed = scenario.ground.scene
+    if SCENES.index(needed) > SCENES.index(scene):
+        raise ValueError(f"The ground of scene={needed!r} was asked of an engine made with scene={scene!r}.")
 
 
 def check_start(qpos: Array, qvel: Array) -> None:

@@ -22,6 +22,9 @@ ROUGH_SEEDS = 16
 """Rough grounds to choose from."""
 _WAVES_PER_GROUND, _WAVELENGTHS_M = 12, (0.45, 0.75)
 
+SCENES = ("flat", "terrain", "rough")
+"""Scenes, each with all the ground of those before it."""
+
 HIGHEST = {"sine": 1.0, "slope": 0.6, "across": 0.6, "steps": 0.5, "rough": 0.5}
 """The kinds of terrain, and the highest level of each, m or rad: "slope" rises along the walk, "across" to the left."""
 
@@ -113,8 +116,14 @@ class Ground:
         return "terrain" if np.any(self.uneven) else "flat"
 
 
-def height_below(ground: Array, x: Array, y: Array) -> Array:
+def height_below(ground: Ground, x: Array, y: Array) -> Array:
     """Height of the `Ground` [...] at x and y [...], m."""
+    begun = (abs(x - START_X_M) - LEVEL_M).clip(0, 1)
+    return smooth_height_below(ground, x, y) + ground.rough * begun * _noise(ground.seed, x, y)
+
+
+def smooth_height_below(ground: Ground, x: Array, y: Array) -> Array:
+    """The same less its roughness."""
     xp = namespace(ground.sine, x)
     ahead = x - START_X_M
     way = abs(ahead)
@@ -123,8 +132,7 @@ def height_below(ground: Array, x: Array, y: Array) -> Array:
     climbed = xp.sign(ahead) * (begun**2 / 2 + (way - LEVEL_M - 1).clip(0))
     rise = xp.tan(ground.slope)
     tread = ((way - LEVEL_M) // TREAD_M + 1).clip(0) % 2
-    z = ground.sine * xp.sin(x) + rise[..., 0] * climbed + rise[..., 1] * begun * y + ground.steps * tread
-    return z + ground.rough * begun * _noise(ground.seed, x, y)
+    return ground.sine * xp.sin(x) + rise[..., 0] * climbed + rise[..., 1] * begun * y + ground.steps * tread
 
 
 def _noise(seed: Array, x: Array, y: Array) -> Array:

@@ -12,9 +12,8 @@ import numpy as np
 
 from cassie_mjx.configuration.values import Checked, Range
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.ground import SCENES
 from cassie_mjx.robot.mjcf import WALKING_PAIRS, differing, free_root, missing
-
-SCENES = ("flat", "terrain", "rough")
 
 CONTACTS = ("walking", "full", "published")
 
