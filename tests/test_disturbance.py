@@ -16,6 +16,7 @@ from cassie_mjx.motion.reference import sample
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Scenario
+from cassie_mjx.robot import cassie
 from cassie_mjx.robot.ground import Ground, Terrain
 from cassie_mjx.robot.model import MJX_TRAINING, load_mjx_model, load_model
 
@@ -161,6 +162,28 @@ def test_robots_start_on_a_crest_and_are_judged_from_there(hills, motion):
     walked[:, 0] -= np.where(on_terrain, np.pi / 2 - first[:, 0], 0)
     expected = reward.total(reward.terms(reward.SCALES["weighted"], walked, sample(motion, phase + 2)[0]))
     np.testing.assert_allclose(state.reward, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_a_critic_sees_the_scenario_in_the_mirror_of_the_policy(hills, motion, symmetric):
+    ground = Ground.of(
+        [Terrain("sine", 0.2), Terrain("slope", 0.1), Terrain("across", 0.3), Terrain("steps", 0.05)] * 2
+    )
+    scenario = Scenario.nominal(
+        8, ground=ground, push=[[50.0, 30.0, 0.0]], push_start=0, push_stop=[[40], [0]] * 4, delay=np.arange(8) % 4
+    )
+    env = WalkEnv(hills, motion, WalkConfig(scenario=ALL, symmetric=symmetric), 8)
+    # Half a stride apart: the first four robots are in the one step, the others in the other.
+    state = env.reset_at(np.repeat([0, 11], 4).astype(np.int32), scenario)
+    second = np.asarray(motion.qpos)[np.asarray(state.motion.time)][:, cassie.HIP_PITCH_QPOS]
+    side = np.where(symmetric & (second[:, 0] < second[:, 1]), -1, 1)
+    assert set(side.tolist()) == ({-1, 1} if symmetric else {1})
+    pushed = np.array([1, 0] * 4)
+    expected = [
+        *(0 * pushed, 0.5 * pushed, 0.3 * pushed * side, ground.slope[:, 0] / 0.2, ground.slope[:, 1] / 0.2 * side),
+        *(np.arange(8) % 4 / HZ / 0.01, ground.sine / 0.1, ground.steps / 0.1, ground.rough / 0.1),
+    ]
+    np.testing.assert_allclose(state.privileged, np.stack(expected, axis=1), atol=1e-6)
 
 
 def test_a_reset_draws_everything_anew(hills, motion):

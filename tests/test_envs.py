@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from seeing import FULL, observe
 
+from cassie_mjx.control import command as control_command
 from cassie_mjx.control import command as motions
 from cassie_mjx.envs import command, reward
 from cassie_mjx.envs.config import WalkConfig
@@ -264,6 +265,22 @@ def test_robots_far_from_the_reference_end_their_episode_and_the_critic_is_told_
     np.testing.assert_array_equal(after.metrics["position_error"], ended)
     np.testing.assert_allclose(after.final_privileged[:, 0], moved / 0.25, atol=0.05)
     np.testing.assert_array_equal(after.privileged, np.where(ended[:, None], 0, after.final_privileged))
+
+
+def test_the_path_waits_for_robots_on_a_leash(native, motion):
+    free = WalkConfig(min_reward=None, max_position_error_m=None, start_velocity_mps=0)
+    moved = np.array([-1.0, -0.2, 0.0, 0.25, 0.9])
+    leads = []
+    for leash_m in (None, 0.3):
+        env = WalkEnv(native, motion, replace(free, leash_m=leash_m), 5)
+        state = env.reset_at(np.zeros(5, np.int32), Scenario.nominal(5))
+        state.physics.qpos[:, 0] += moved
+        after = env.step(state, np.zeros((5, 10)), jax.random.key(0))
+        np.testing.assert_allclose(after.final_privileged[:, 0], moved / 0.25, atol=0.05)
+        reference = control_command.reference(env.motion, after.motion)[0]
+        leads.append(after.physics.qpos[:, 0] - np.asarray(reference)[:, 0])
+    np.testing.assert_allclose(leads[0], moved, atol=0.02)
+    np.testing.assert_allclose(leads[1], np.clip(leads[0], -0.3, 0.3), atol=1e-6)
 
 
 def test_a_nan_ends_its_episode_and_is_counted(env):

@@ -36,6 +36,12 @@ def tick(state: MotionState) -> MotionState:
     return state._replace(time=state.time + 1, step=state.step + 1)
 
 
+def follow(state: MotionState, lead: Array, leash_m: float) -> MotionState:
+    """The same moment, with the path moved along x so that robots `lead` [B] ahead of it, m, are within the leash."""
+    xp = namespace(state.origin_x, lead)
+    return state._replace(origin_x=state.origin_x + lead - xp.clip(lead, -leash_m, leash_m))
+
+
 def approach(motion: ReferenceMotion, state: MotionState) -> MotionState:
     """The same moment with a command nearer to its target, by 0.625 of the motion's speed a second; x does not jump."""
     xp = namespace(state.command.forward)

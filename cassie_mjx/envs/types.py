@@ -32,7 +32,7 @@ class Start(NamedTuple):
     sensing: Array
     """Carry of the observation, [B, H - 1, F]."""
     privileged: Array
-    """[B, 1]."""
+    """[B, P]."""
 
 
 class StepOutcome(NamedTuple):
@@ -66,9 +66,9 @@ class WalkState:
       observation: what the policy acts on next, [B, O]; in a symmetric task as `ControlLaw.observe` gives it, in a
         mirror where the reference is in its second step, and so is the final one.
       final_observation: what the last step led to, before any reset, [B, O].
-      privileged: what no robot senses but a critic may see, [B, 1]: how far it is ahead of the reference motion, in
-        units of 0.25 m, within +-10.
-      final_privileged: the same before any reset, [B, 1].
+      privileged: what no robot senses but a critic may see, [B, P]: how far it is ahead of the reference motion, in
+        units of 0.25 m, within +-10, and what disturbs it, if anything does.
+      final_privileged: the same before any reset, [B, P].
       reward: of the last step, [B], 0 to 1.
       terminated: the last step ended the episode by one of `termination.Ends`, [B], bool.
       truncated: the last step was the last of a full-length episode or of the motion, [B], bool.

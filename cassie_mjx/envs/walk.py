@@ -12,7 +12,7 @@ import numpy as np
 
 from cassie_mjx.control import command as motions
 from cassie_mjx.control.command import MotionState
-from cassie_mjx.control.law import target
+from cassie_mjx.control.law import second_step, target
 from cassie_mjx.control.observation import Seen
 from cassie_mjx.envs import command, reward
 from cassie_mjx.envs.config import CAPTURE_S, WalkConfig
@@ -32,6 +32,8 @@ _SPEED_KEY, _SCENARIO_KEY, _VELOCITY_KEY, _COMMAND_KEY, _OFFSET_KEY, _NOISE_KEY,
 
 # Unit in which a critic observes how far a robot is ahead: half of what ends an episode, so of the order of 1.
 LEAD_M = 0.25
+# Units in which it sees what disturbs a robot.
+PUSH_N, DELAY_S, HEIGHT_M, SLOPE_RAD = 100.0, 0.01, 0.1, 0.2
 
 
 class WalkEnv:
@@ -67,6 +69,7 @@ class WalkEnv:
         self.samples = motion.qpos.shape[0]
         self._physics_hz = round(1 / physics.model.opt.timestep)
         self._substeps = steps_per_control(self._physics_hz)
+        self._timestep = physics.model.opt.timestep
         longest = config.scenario.delay_steps(self._physics_hz)
         if longest > physics.max_delay:
             raise ValueError(
@@ -109,7 +112,7 @@ class WalkEnv:
         factor = np.linspace(*self.speeds, robots) if factor is None else factor
         offset = StartOffset(np.zeros((robots, 2)), np.zeros((robots, 2))) if offset is None else offset
         told = command.command_of(self.motion, jnp.asarray(factor, jnp.float32))
-        start = self._start(jnp.asarray(time, jnp.int32), told, offset, scenario.ground, key)
+        start = self._start(jnp.asarray(time, jnp.int32), told, offset, scenario, key)
         physics = self.physics.init(start.qpos, start.qvel)
         zeros, ended = jnp.zeros(robots), jnp.zeros(robots, bool)
         metrics = {name: zeros for name in (*reward.SCALES, *reward.Terms._fields, *Ends._fields)}
@@ -187,17 +190,20 @@ class WalkEnv:
         time: jax.Array,
         told: motions.Command,
         offset: StartOffset,
-        ground: Ground,
+        scenario: Scenario,
         key: jax.Array | None,
     ) -> Start:
-        state = command.start_motion(self.motion, time, told, ground)
+        state = command.start_motion(self.motion, time, told, scenario.ground)
         qpos, qvel = motions.reference(self.motion, state)
-        qpos = qpos.at[:, cassie.PELVIS_POSITION[:2]].add(offset.position).at[:, cassie.PELVIS_Z].add(ground.sine)
+        qpos = (
+            qpos.at[:, cassie.PELVIS_POSITION[:2]].add(offset.position).at[:, cassie.PELVIS_Z].add(scenario.ground.sine)
+        )
         qvel = qvel.at[:, cassie.HORIZONTAL_VELOCITY].add(offset.velocity)
         seen = self._seen(state, qpos, qvel)
         noise_key = None if key is None else jax.random.fold_in(key, _FRESH_NOISE_KEY)
         observation, sensing = self.law.observe(self.law.init(seen), seen, self._noise(noise_key, len(time)))
-        return Start(qpos, qvel, state, observation, sensing, _privileged(offset.position[:, 0]))
+        privileged = self._privileged(state, scenario, offset.position[:, 0])
+        return Start(qpos, qvel, state, observation, sensing, privileged)
 
     def _post_physics(
         self,
@@ -226,13 +232,15 @@ class WalkEnv:
         terminated = jnp.stack(causes).any(axis=0)
         truncated = ~terminated & self._is_last(state)
         ended = terminated | truncated
+        privileged = self._privileged(state, scenario, lead)
+        if self.config.leash_m is not None:
+            state = motions.follow(state, lead, self.config.leash_m)
         scenario = self._renew(scenario, state, ended, key)
         state = self._told(state, key)
         start = self._begin_anew(state, scenario, key)
         seen = self._seen(state, sensed_qpos, sensed_qvel)
         noise = self._noise(jax.random.fold_in(key, _NOISE_KEY), len(nan))
         observation, sensing = self.law.observe(sensing, seen, noise)
-        privileged = _privileged(lead)
         causes = {name: cause.astype(earned.dtype) for name, cause in causes._asdict().items()}
         return StepOutcome(
             start=start,
@@ -287,12 +295,27 @@ class WalkEnv:
         """
         time, factor, offset = self._draw(key, len(state.time))
         told = command.command_of(self.motion, factor) if self._command_s is None else state.command
-        start = self._start_states(time, told, offset, scenario.ground, key)
+        start = self._start_states(time, told, offset, scenario, key)
         if self._command_s is None:
             return start
         return start._replace(motion=start.motion._replace(target_command=state.target_command))
 
+    def _privileged(self, state: MotionState, scenario: Scenario, lead: Array) -> jax.Array:
+        """What a critic sees of robots that are `lead` [B], m, ahead of the reference motion, [B, P].
 
-def _privileged(lead: Array) -> jax.Array:
-    """What a critic sees of robots that are `lead` [B], m, ahead of the reference motion, [B, 1]."""
-    return jnp.clip(jnp.asarray(lead, jnp.float32) / LEAD_M, -10, 10)[:, None]
+        Where the task disturbs robots, it sees their scenarios too: the present push, the age of what is sensed and the
+        ground, all of the order of 1, and in a mirror where the policy sees one.
+        """
+        ahead = jnp.clip(jnp.asarray(lead, jnp.float32) / LEAD_M, -10, 10)[:, None]
+        if not self.config.scenario.active:
+            return ahead
+        scenario = jax.tree.map(jnp.asarray, scenario)
+        ground, side = scenario.ground, jnp.ones_like(ahead)
+        if self.law.symmetric:
+            side = jnp.where(second_step(motions.reference(self.motion, state)[0]), -1.0, 1.0)
+        force = scenario.force(state.step * self._substeps)[:, :2] / PUSH_N
+        late = scenario.delay[:, None] * self._timestep / DELAY_S
+        heights = jnp.stack([ground.sine, ground.steps, ground.rough], axis=1) / HEIGHT_M
+        slope = ground.slope / SLOPE_RAD
+        along, aside = (each * jnp.concatenate([jnp.ones_like(side), side], axis=1) for each in (force, slope))
+        return jnp.concatenate([ahead, along, aside, late, heights], axis=1).astype(jnp.float32)
