@@ -25,6 +25,7 @@ STUDIES = {
     "walking": "Learning to walk, with the default of the policies that ship",
     "make_train": "The same on two quiet cores",
     "default": "Learning to walk, with the present default",
+    "default_speeds": "Learning other speeds from scratch, with the present default",
     "default_steps": "From the former default to the present one, a step at a time",
     "starts": "Starting up to 0.5 m/s off the reference's velocity, and at it",
     "reward": "Learning from the weighted reward, and from the plain one",

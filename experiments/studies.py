@@ -87,7 +87,7 @@ LATER |= {
 }
 # What means nothing to robots of one speed, as all of those runs have.
 LATER |= {"walk.command_s": WalkConfig().command_s}
-LATER |= {"contacts": "full", "walk.observation": "full"}
+LATER |= {"contacts": "full", "walk.observation": "full", "walk.leash_m": None}
 LATER |= {f"walk.scenario.{name}": value for name, value in vars(ScenarioConfig()).items()}
 """How runs were trained whose configuration does not name these yet."""
 
@@ -105,7 +105,8 @@ STUDIES = {
         Variant("any", FORMER | {"speed": "any", "init": "{runs}/any-first-seed{seed}"}, (0,)),
     ),
     "warm_start": (OTHER_SPEEDS[-1], Variant("4x-from-scratch", FORMER | {"speed": "4x"}, (0,))),
-    "default": (Variant("1x-default", {}, (0, 1)),),
+    "default": (Variant("1x-default", {}, (0, 1, 2, 3, 4)),),
+    "default_speeds": tuple(Variant(f"{speed}-default", {"speed": speed}, (0,)) for speed in ("0x", "2x", "3x", "4x")),
     # From the former default to the present one, a step at a time.
     "default_steps": (DEFAULT, Variant("1x-mirrored", MIRRORED), Variant("1x-short-rollouts", SHORT)),
     "robust": (
