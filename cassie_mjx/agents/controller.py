@@ -136,8 +136,8 @@ def _command(told: Told) -> Command:
         raise ValueError(
             f"command={told} must be a forward velocity, or three numbers: forward and lateral velocity and yaw rate."
         )
-    forward, *steering = numbers.reshape(-1, 1)
-    return Command(forward, *steering) if steering else Command.ahead(forward)
+    forward, lateral, yaw_rate = np.append(numbers, np.zeros(3 - numbers.size)).reshape(3, 1)
+    return Command.ahead(forward)._replace(lateral=lateral, yaw_rate=yaw_rate)
 
 
 class Controller:
