@@ -13,6 +13,7 @@ from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy import PolicyCarry
 from cassie_mjx.agents.policy_file import learner_policy, save_policy
 from cassie_mjx.agents.types import Sensed
+from cassie_mjx.control.path import Path
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import ReferenceMotion, blend_motions, sample, stretch
 from cassie_mjx.ppo import learner
@@ -168,7 +169,7 @@ def progress(phase, step, speed):
 
 
 def alone(path, phase, states):
-    target, _ = make_agent(str(path)).step(PolicyCarry(phase, NO_HISTORY), Sensed(*states), None)
+    target, _ = make_agent(str(path)).step(PolicyCarry(phase, NO_HISTORY, Path.world(ROBOTS)), Sensed(*states), None)
     return target
 
 

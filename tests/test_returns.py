@@ -10,6 +10,7 @@ import pytest
 from cassie_mjx.agents.make import make_policy_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.shipped import shipped_policies
+from cassie_mjx.control import path
 from cassie_mjx.control.network import Network
 from cassie_mjx.evaluation import returns
 from cassie_mjx.evaluation.returns import CHOOSING_PHASES, ReturnRecord, walk_returns
@@ -35,7 +36,7 @@ def physics():
 def record(agent, robots):
     zeros = np.zeros(robots)
     time = np.zeros(robots, np.int32)
-    return ReturnRecord(time, time, zeros > 0, zeros, zeros, None, agent.motion)
+    return ReturnRecord(time, time, zeros > 0, zeros, zeros, None, agent.motion, path.Path.world(robots))
 
 
 def on_reference(agent, robots, time, down=()):

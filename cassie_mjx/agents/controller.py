@@ -4,9 +4,9 @@ controller = Controller.load("1x", model)
 targets = controller.step(data.time, data.qpos, data.qvel)
 """
 
-from collections.abc import Iterable, Mapping
-from pathlib import Path
-from typing import Any
+import pathlib
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -16,9 +16,13 @@ from cassie_mjx.agents.shipped import load_policy
 from cassie_mjx.control.law import target
 from cassie_mjx.control.network import Network
 from cassie_mjx.control.observation import Seen
+from cassie_mjx.control.path import Path, bend_beside, into
 from cassie_mjx.motion.command import Command
 from cassie_mjx.motion.reference import ReferenceMotion, sample
 from cassie_mjx.robot import cassie
+
+Told: TypeAlias = float | Sequence[float] | np.ndarray
+"""A commanded forward velocity, m/s, or three numbers: forward and lateral velocity, m/s, and yaw rate, rad/s."""
 
 # MuJoCo's numbers of the kinds of joints, and of transmissions to a joint.
 _KINDS = ("free", "ball", "slide", "hinge")
@@ -125,6 +129,17 @@ def _check_names(addresses: Mapping[str, tuple[int, int]]) -> None:
         raise ValueError(f"The model lacks the joints {', '.join(missing)}; it has {_list(addresses)}.")
 
 
+def _command(told: Told) -> Command:
+    """The command of one robot, leaves [1]."""
+    numbers = np.array(told, float)
+    if numbers.shape not in ((), (3,)):
+        raise ValueError(
+            f"command={told} must be a forward velocity, or three numbers: forward and lateral velocity and yaw rate."
+        )
+    forward, lateral, yaw_rate = np.append(numbers, np.zeros(3 - numbers.size)).reshape(3, 1)
+    return Command.ahead(forward)._replace(lateral=lateral, yaw_rate=yaw_rate)
+
+
 class Controller:
     """One robot's policy: it keeps its own time along the reference motion."""
 
@@ -141,7 +156,7 @@ class Controller:
         self.reset()
 
     @classmethod
-    def load(cls, name: str | Path, model: Any = None) -> "Controller":
+    def load(cls, name: str | pathlib.Path, model: Any = None) -> "Controller":
         """The controller of a policy that we ship, of a policy's file or of a run, for a `mujoco.MjModel`.
 
         Raises:
@@ -152,7 +167,7 @@ class Controller:
     def reset(self) -> None:
         """Begin anew, at the start of the reference motion."""
         self._step, self._carry, self._start_s, self._last_s = 0, None, None, -np.inf
-        self._targets = np.zeros(cassie.NU)
+        self._targets, self._path = np.zeros(cassie.NU), Path.world(1)
 
     def initial_state(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Copies of a model's qpos [nq] and qvel [nv] with the robot at the start of the reference motion."""
@@ -162,32 +177,40 @@ class Controller:
         qvel[self.joints.qvel] = self.motion.qvel[0, self.joints.own_qvel]
         return qpos, qvel
 
-    def __call__(self, qpos: np.ndarray, qvel: np.ndarray, command: float | None = None) -> np.ndarray:
+    def __call__(self, qpos: np.ndarray, qvel: np.ndarray, command: Told | None = None) -> np.ndarray:
         """PD targets of the ten active joints for the next 32 ms, rad, in the order of `policy.joints`.
 
         Args:
           qpos: of the model, [nq].
           qvel: of the model, [nv].
-          command: commanded forward velocity, m/s; the policy's own unless given.
+          command: commanded forward velocity, m/s, or forward and lateral velocity, m/s, and yaw rate, rad/s, left
+            positive; the policy's own speed straight ahead unless given. Velocities are along a path that begins as
+            the world's x axis and that the yaw rate turns.
+
+        Raises:
+          ValueError: the command is neither one number nor three.
         """
         own_qpos, own_qvel = np.zeros((1, cassie.NQ)), np.zeros((1, cassie.NV))
         own_qpos[0, self.joints.own_qpos] = np.asarray(qpos)[self.joints.qpos]
         own_qpos[0, cassie.PELVIS_POSITION] += self.joints.origin
         own_qvel[0, self.joints.own_qvel] = np.asarray(qvel)[self.joints.qvel]
-        told = None if command is None else Command(np.array([command], float))
-        ahead = sample(self.motion, np.array([self._step + 1]), told)
+        told, time = None if command is None else _command(command), np.array([self._step])
+        ahead = sample(self.motion, time + 1, told)
+        own_qpos, own_qvel = into(self._path, own_qpos, own_qvel)
         seen = Seen(own_qpos, own_qvel, *ahead, told)
         carry = self.law.init(seen) if self._carry is None else self._carry
         residual, self._carry = self.law.act(self._network, carry, seen)
+        if told is not None:
+            self._path = bend_beside(self._path, self.motion, time, told, own_qpos[:, cassie.PELVIS_X])
         self._step += 1
         self._targets = target(ahead[0], residual)[0]
         return self._targets.copy()
 
-    def step(self, time: float, qpos: np.ndarray, qvel: np.ndarray, command: float | None = None) -> np.ndarray:
+    def step(self, time: float, qpos: np.ndarray, qvel: np.ndarray, command: Told | None = None) -> np.ndarray:
         """PD targets at a time, s, for loops of any rate: new ones every 32 ms, else those held; see `__call__`.
 
         Raises:
-          ValueError: the time is before that of the last call.
+          ValueError: the time is before that of the last call, or the command is neither one number nor three.
         """
         if time < self._last_s:
             raise ValueError(

@@ -88,6 +88,9 @@ class NumpyPolicy:
     """Where it came from: command, commit, versions, returns."""
     mirror: Mirror | None = None
     """How it takes the second step, if it learned the first alone; mean and std are those of reflected observations."""
+    commands: np.ndarray | None = None
+    """[3, 2], least and greatest forward velocity, lateral velocity (m/s, left positive) and yaw rate (rad/s, left
+    positive) that it learned to follow; None for a file that is older than this entry."""
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Return the residuals on the reference angles of the active joints, rad, [10] or [B, 10].
@@ -148,7 +151,7 @@ def _check_names(content: Mapping[str, np.ndarray], path: Path) -> None:
     """Raise ValueError unless a file has the arrays of a policy, and no others."""
     expected = {"layers", *_ARRAYS, *_NUMBERS, *_LISTS}
     expected |= {f"{kind}_{i}" for kind in ("weight", "bias") for i in range(_layers(content))}
-    expected |= {"network"} & content.keys()
+    expected |= {"network", "commands"} & content.keys()
     expected |= set(MIRROR_ARRAYS) if set(MIRROR_ARRAYS) & content.keys() else set()
     if content.keys() != expected:
         raise ValueError(f"{path} is damaged: {', '.join(sorted(expected ^ content.keys()))} missing or too much.")
@@ -169,6 +172,8 @@ def _fields(content: dict[str, np.ndarray]) -> dict[str, Any]:
     for name in ("samples", "speed", "d_gain"):
         if not np.all(fields[name] >= 0):
             raise ValueError(f"{name} is to be at least 0")
+    if "commands" in content:
+        fields["commands"] = _array(content, "commands")
     if MIRROR_ARRAYS[0] in content:
         fields["mirror"] = Mirror(*(_integers(content, name) for name in MIRROR_ARRAYS))
     return fields
@@ -224,6 +229,7 @@ def _check_fit(policy: NumpyPolicy, path: Path) -> None:
         ("std", policy.std, (inputs,)),
         *((f"weight_{i}", weight, shape) for i, ((weight, _), shape) in enumerate(layers)),
         *((f"bias_{i}", bias, shape[1:]) for i, ((_, bias), shape) in enumerate(layers)),
+        *((("commands", policy.commands, (3, 2)),) if policy.commands is not None else ()),
         ("p_gain", policy.p_gain, (outputs,)),
         ("d_gain", policy.d_gain, (outputs,)),
     ):

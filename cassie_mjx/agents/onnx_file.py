@@ -34,7 +34,11 @@ USAGE = (
     "is where the motion begins and no part of the target. The observation is as sensed, neither normalised, mirrored "
     "nor made noisy; 'observation' lists it, the reference in it being that of k + 1. A term of several control steps "
     "is stacked newest first by the caller. Pelvis x of the reference gains reference_stride_length every N steps. "
-    "A policy that learned several speeds is told one by stretching the reference's pelvis x and its velocity."
+    "A policy that learned several speeds is told one by stretching the reference's pelvis x and its velocity. "
+    "One that learned to be steered ('commands': least and greatest forward and lateral velocity, m/s, and yaw rate, "
+    "rad/s, left positive) has the lateral velocity added to the reference's pelvis y velocity and the yaw rate about "
+    "the vertical to its angular velocity; position, orientation and velocity of the robot's pelvis are then those in "
+    "the frame of a path that the yaw rate turns about the robot and that the lateral velocity moves to the left."
 )
 
 
@@ -87,6 +91,7 @@ def metadata(policy: NumpyPolicy, source: str) -> dict[str, str]:
         "observation": json.dumps(policy.observation),
         "control_period_s": repr(cassie.CONTROL_PERIOD_S),
         "speed": repr(policy.speed),
+        "commands": json.dumps(None if policy.commands is None else policy.commands.tolist()),
         "reference_qpos": json.dumps(policy.reference_qpos.tolist()),
         "reference_qvel": json.dumps(policy.reference_qvel.tolist()),
         "reference_stride_length": repr(policy.reference_stride_length),

@@ -15,6 +15,7 @@ from cassie_mjx.agents.types import Sensed
 from cassie_mjx.control.law import ControlLaw, target
 from cassie_mjx.control.network import Network
 from cassie_mjx.control.observation import Seen
+from cassie_mjx.control.path import Path, bend_beside, into
 from cassie_mjx.motion.command import Command, speed_factor
 from cassie_mjx.motion.reference import ReferenceMotion, sample, stretch
 from cassie_mjx.ppo import networks
@@ -30,6 +31,8 @@ class PolicyCarry(NamedTuple):
     """Control step of the motion that it is at, [B], int32."""
     sensing: Array
     """Of the observation, [B, H - 1, F]."""
+    path: Path
+    """Where the path that it walks along lies in the world, leaves [B]; it begins as the world's x axis."""
 
 
 def policy_step(
@@ -42,10 +45,14 @@ def policy_step(
 ) -> tuple[Array, PolicyCarry]:
     """PD targets [B, 10], rad, of a deterministic policy, and the next carry."""
     ahead = sample(motion, carry.time + 1, command)
-    residual, sensing = law.act(network, carry.sensing, Seen(sensed.qpos, sensed.qvel, *ahead, command))
+    qpos, qvel = into(carry.path, sensed.qpos, sensed.qvel)
+    residual, sensing = law.act(network, carry.sensing, Seen(qpos, qvel, *ahead, command))
+    path = carry.path
+    if command is not None:
+        path = bend_beside(path, motion, carry.time, command, qpos[:, cassie.PELVIS_X])
     samples = motion.qpos.shape[0]
     time = (carry.time + 1) % samples if motion.periodic else carry.time + 1
-    return target(ahead[0], residual), PolicyCarry(time, sensing)
+    return target(ahead[0], residual), PolicyCarry(time, sensing, path)
 
 
 class PolicyAgent:
@@ -110,8 +117,9 @@ class PolicyAgent:
         return self._step(carry, sensed, command)
 
     def moved(self, carry: PolicyCarry, offset: np.ndarray) -> PolicyCarry:
-        """See `Agent.moved`: a policy remembers no place."""
-        return carry
+        """See `Agent.moved`: the path goes along."""
+        x, y = carry.path.x + offset[:, 0], carry.path.y + offset[:, 1]
+        return carry._replace(path=carry.path._replace(x=x, y=y))
 
     def take_over(self, carry: PolicyCarry) -> PolicyCarry:
         """See `Agent.take_over`."""
@@ -119,7 +127,7 @@ class PolicyAgent:
 
     def _carry(self, sensed: Sensed, time: Array) -> PolicyCarry:
         seen = Seen(sensed.qpos, sensed.qvel, *sample(self.motion, time + 1))
-        return PolicyCarry(time, self.law.init(seen))
+        return PolicyCarry(time, self.law.init(seen), Path.world(len(time)))
 
 
 def saved_agent(name: str, saved: NumpyPolicy, speed: str | None = None) -> PolicyAgent:

@@ -15,7 +15,7 @@ from cassie_mjx.agents.saved_law import control_law, file_mirror
 from cassie_mjx.control.law import ControlLaw
 from cassie_mjx.control.network import KIND
 from cassie_mjx.files import archive
-from cassie_mjx.motion.reference import ReferenceMotion
+from cassie_mjx.motion.reference import ReferenceMotion, mean_speed
 from cassie_mjx.ppo import networks, normalizer
 from cassie_mjx.ppo.types import Normalizer, Policy
 from cassie_mjx.robot import cassie
@@ -32,6 +32,7 @@ def save_policy(
     kd_scale: float,
     provenance: Mapping[str, Any],
     law: ControlLaw = FULL_LAW,
+    commands: np.ndarray | None = None,
 ) -> None:
     """Write a policy file with its digest, whole or not at all.
 
@@ -43,12 +44,18 @@ def save_policy(
       kd_scale: factor on the D gains of the PD law that holds its targets.
       provenance: anything JSON can hold.
       law: what it observes, and what its actions mean.
+      commands: least and greatest of each component of the commands that it learned to follow, [3, 2]; the speed of
+        the motion alone unless given.
 
     Raises:
       OSError: it cannot be written; a file of that name is as it was.
     """
     arrays = _network_arrays(policy) | _motion_arrays(motion) | _law_arrays(law)
-    archive.write(path, FORMAT, arrays | {"speed": speed, "d_gain": kd_scale * cassie.D_GAIN}, provenance)
+    if commands is None:
+        own = float(mean_speed(motion))
+        commands = np.array([[own, own], [0.0, 0.0], [0.0, 0.0]])
+    asked = {"speed": speed, "commands": commands, "d_gain": kd_scale * cassie.D_GAIN}
+    archive.write(path, FORMAT, arrays | asked, provenance)
 
 
 def _network_arrays(policy: Policy) -> dict[str, Any]:

@@ -1,13 +1,60 @@
-"""The commands of training: which speeds are drawn, and where the motion of an episode begins."""
+"""The commands of training: which are drawn, and where the motion of an episode begins."""
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from cassie_mjx.control.command import MotionState, reference
-from cassie_mjx.motion.command import Command
+from cassie_mjx.control.path import Path
+from cassie_mjx.motion.command import (
+    FULL_STEERING_MPS,
+    JOYSTICK,
+    JOYSTICK_MPS,
+    LEAST_STEERING,
+    STRAIGHT,
+    Command,
+    Steering,
+    speed_factors,
+)
 from cassie_mjx.motion.reference import ReferenceMotion, mean_speed
+from cassie_mjx.physics.types import merge
+from cassie_mjx.robot.arrays import Array, namespace
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X
 from cassie_mjx.robot.ground import START_X_M, Ground
+
+# What the key of a speed is folded with for the steering.
+_STEERING_KEY = 2
+
+
+class CommandRange(NamedTuple):
+    """The commands that a training draws."""
+
+    speeds: tuple[float, float] = (1.0, 1.0)
+    """Lowest and highest factor on the motion's speed."""
+    steering: Steering = STRAIGHT
+
+
+def command_range(motion: ReferenceMotion, speed: str, command: str) -> CommandRange:
+    """What a training's speed and command ask for of a motion that has been stretched already.
+
+    Raises:
+      ValueError: `speed` is none, or the motion does not walk and is to be commanded by a joystick.
+    """
+    if command == "speed":
+        return CommandRange(speed_factors(speed)[1])
+    own = float(mean_speed(motion))
+    if own <= 0:
+        raise ValueError("command=joystick stretches the reference, and this one does not walk; choose another.")
+    low, high = JOYSTICK_MPS
+    return CommandRange((low / own, high / own), JOYSTICK)
+
+
+def limits(motion: ReferenceMotion, commands: CommandRange) -> np.ndarray:
+    """Least and greatest forward velocity, lateral velocity (m/s) and yaw rate (rad/s) of a range, [3, 2]."""
+    forward = np.asarray(commands.speeds) * float(mean_speed(motion))
+    return np.stack([forward, *(np.array([-limit, limit]) for limit in commands.steering)])
 
 
 def start_motion(motion: ReferenceMotion, time: jax.Array, command: Command, ground: Ground) -> MotionState:
@@ -19,14 +66,15 @@ def start_motion(motion: ReferenceMotion, time: jax.Array, command: Command, gro
       command: now and as a target.
       ground: of the robots, [B]; where it is not flat, the pelvis starts at `START_X_M`.
     """
-    state = MotionState(time, jnp.zeros_like(time), command, command, jnp.zeros_like(command.forward))
+    zeros = jnp.zeros_like(command.forward)
+    state = MotionState(time, jnp.zeros_like(time), command, command, zeros, Path(zeros, zeros, zeros))
     first, _ = reference(motion, state)
     return state._replace(origin_x=ground.uneven * (START_X_M - first[:, PELVIS_X]))
 
 
 def command_of(motion: ReferenceMotion, factor: jax.Array) -> Command:
-    """The command to walk at a factor [B] on the motion's own speed."""
-    return Command(factor * jnp.asarray(mean_speed(motion), jnp.float32))
+    """The command to walk straight ahead at a factor [B] on the motion's own speed."""
+    return Command.ahead(factor * jnp.asarray(mean_speed(motion), jnp.float32))
 
 
 def draw_factor(key: jax.Array, robots: int, factors: tuple[float, float]) -> jax.Array:
@@ -39,12 +87,33 @@ def draw_factor(key: jax.Array, robots: int, factors: tuple[float, float]) -> ja
     return jax.random.uniform(key, (robots,), minval=low - margin, maxval=high + margin).clip(low, high)
 
 
+def draw_command(motion: ReferenceMotion, key: jax.Array, robots: int, commands: CommandRange) -> Command:
+    """Commands from the range, leaves [robots]; each of their components is drawn as `draw_factor` does."""
+    told = command_of(motion, draw_factor(key, robots, commands.speeds))
+    if commands.steering == STRAIGHT:
+        return told
+    lateral_key, yaw_key = jax.random.split(jax.random.fold_in(key, _STEERING_KEY))
+    sides = (draw_factor(each, robots, (-1.0, 1.0)) for each in (lateral_key, yaw_key))
+    return steered(told.forward, commands.steering, *sides)
+
+
+def steered(forward: Array, steering: Steering, lateral: Array, yaw_rate: Array) -> Command:
+    """The command at shares, -1 to 1, of the steering that robots have at a forward speed; all [B].
+
+    The faster, the less: all of it up to 2.1 m/s, and half of it at 2.8 m/s.
+    """
+    xp = namespace(forward)
+    beyond = (forward - FULL_STEERING_MPS) / (JOYSTICK_MPS[1] - FULL_STEERING_MPS)
+    share = 1 - (1 - LEAST_STEERING) * xp.clip(beyond, 0, 1)
+    return Command(forward, steering.lateral * share * lateral, steering.yaw_rate * share * yaw_rate)
+
+
 def redraw_target(
-    motion: ReferenceMotion, state: MotionState, key: jax.Array, factors: tuple[float, float], mean_s: float
+    motion: ReferenceMotion, state: MotionState, key: jax.Array, commands: CommandRange, mean_s: float
 ) -> MotionState:
     """The same moment, after which some robots have another target: each every `mean_s` seconds on average."""
-    when_key, speed_key = jax.random.split(key)
-    targets = state.target_command.forward
-    new = jax.random.bernoulli(when_key, CONTROL_PERIOD_S / mean_s, targets.shape)
-    drawn = command_of(motion, draw_factor(speed_key, len(new), factors)).forward
-    return state._replace(target_command=Command(jnp.where(new, drawn, targets)))
+    when_key, command_key = jax.random.split(key)
+    targets = state.target_command
+    new = jax.random.bernoulli(when_key, CONTROL_PERIOD_S / mean_s, targets.forward.shape)
+    drawn = draw_command(motion, command_key, len(new), commands)
+    return state._replace(target_command=merge(new, drawn, targets))

@@ -32,6 +32,7 @@ class WalkConfig(Checked):
     """A step's reward below which an episode ends, a device of training; null for none."""
     max_position_error_m: Annotated[float, Range(0.001, 1000)] | None = 0.5
     """How far ahead of the reference motion or behind it an episode ends, m, a device of training; null for nowhere.
+    Where the command steers robots, to the left and right of it, too.
 
     Without it robots with a fast command learn to do without the position's share of the reward."""
     leash_m: Annotated[float, Range(0.001, 1000)] | None = None

@@ -2,9 +2,10 @@
 
 from dataclasses import replace
 
+from cassie_mjx.envs.command import command_range
 from cassie_mjx.envs.config import WALK_PRESETS, WalkConfig
 from cassie_mjx.envs.walk import WalkEnv
-from cassie_mjx.motion.command import speed_factors
+from cassie_mjx.motion.command import COMMANDS, speed_factors
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import stretch
 from cassie_mjx.physics.make import ENGINES, check_engine, make_physics
@@ -17,6 +18,7 @@ def make_env(
     physics_hz: int = 1000,
     config: WalkConfig | str = "undisturbed",
     motion: str = "walk",
+    command: str = "speed",
 ) -> WalkEnv:
     """A batch of robots that imitate a motion: `state = env.reset(key)`, then `state = env.step(state, action, key)`.
 
@@ -27,16 +29,19 @@ def make_env(
       physics_hz: physics steps a second.
       config: the task, or the name of a preset of it.
       motion: a name that we ship, or a motion's file.
+      command: "speed", or "joystick" for commands in all directions on top of speed "1x".
 
     Raises:
       ValueError: one of these is not known or out of its range.
     """
     config = find_config(config)
-    factor, speeds = speed_factors(speed)
+    if command not in COMMANDS:
+        raise ValueError(f"command={command} is not known; choose one of {', '.join(COMMANDS)}.")
+    walked = stretch(load_motion(motion), speed_factors(speed)[0])
     check_engine(physics)
     model = replace(ENGINES[physics].training, physics_hz=physics_hz, scene=config.scenario.scene)
     engine = make_physics(physics, model, config.scenario.delay_steps(physics_hz))
-    return WalkEnv(engine, stretch(load_motion(motion), factor), config, robots, speeds)
+    return WalkEnv(engine, walked, config, robots, *command_range(walked, speed, command))
 
 
 def find_config(config: WalkConfig | str) -> WalkConfig:

@@ -15,7 +15,7 @@ class Ends(NamedTuple):
     fallen: Array
     low_reward: Array
     position_error: Array
-    """The robot is too far ahead of the reference motion, or behind it."""
+    """The robot is too far ahead of the reference motion or behind it, or, if it is steered, to the side of it."""
 
 
 def height_over_ground(qpos: Array, ground: Ground) -> Array:
@@ -29,7 +29,7 @@ def has_fallen(height: Array) -> Array:
 
 
 def ends(
-    nan: Array, height: Array, reward: Array, lead: Array, min_reward: float | None, max_position_error_m: float | None
+    nan: Array, height: Array, reward: Array, away: Array, min_reward: float | None, max_position_error_m: float | None
 ) -> Ends:
     """Why episodes end now.
 
@@ -37,16 +37,16 @@ def ends(
       nan: whether a robot's state is not finite, [B].
       height: of the pelvis over the ground, [B], m.
       reward: of the last step, [B].
-      lead: how far the robot is ahead of the reference motion, [B], m.
+      away: how far the robot is from the reference motion, [B], m.
       min_reward: reward below which an episode ends; None for none.
-      max_position_error_m: lead or lag beyond which an episode ends, m; None for none.
+      max_position_error_m: way from the reference beyond which an episode ends, m; None for none.
     """
     never = namespace(nan).zeros_like(nan)
     return Ends(
         nan,
         nan | has_fallen(height),
         never if min_reward is None else reward < min_reward,
-        never if max_position_error_m is None else abs(lead) > max_position_error_m,
+        never if max_position_error_m is None else abs(away) > max_position_error_m,
     )
 
 

@@ -14,17 +14,21 @@ from cassie_mjx.control import command as motions
 from cassie_mjx.control.command import MotionState
 from cassie_mjx.control.law import second_step, target
 from cassie_mjx.control.observation import Seen
+from cassie_mjx.control.path import Path, into, out_of
 from cassie_mjx.envs import command, reward
+from cassie_mjx.envs.command import CommandRange
 from cassie_mjx.envs.config import CAPTURE_S, WalkConfig
 from cassie_mjx.envs.scenario import draw_scenario, renew_scenario
 from cassie_mjx.envs.termination import Ends, ends
 from cassie_mjx.envs.types import Start, StartOffset, StepOutcome, WalkState
+from cassie_mjx.motion.command import STRAIGHT, Command, Steering
 from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.types import Physics, Scenario, delayed, merge, to_backend
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
 from cassie_mjx.robot.ground import Ground, height_below
 from cassie_mjx.robot.model import steps_per_control
+from cassie_mjx.robot.rotation import turned
 
 # What the key of a step or reset is folded with for all but phases, which it draws as it is: `randint` splits it in
 # two, and folding with 0 or 1 would give those halves again.
@@ -46,6 +50,7 @@ class WalkEnv:
         config: WalkConfig,
         robots: int,
         speeds: tuple[float, float] = (1.0, 1.0),
+        steering: Steering = STRAIGHT,
     ) -> None:
         """Bind task and engine.
 
@@ -55,12 +60,14 @@ class WalkEnv:
           config: the task's parameters.
           robots: B, robots side by side.
           speeds: lowest and highest factor on the motion's speed.
+          steering: how far robots are steered off straight ahead.
 
         Raises:
           ValueError: the engine is made for shorter delays than the task draws, or `config.symmetric` is true and the
             motion's second step is not the mirror image of its first.
         """
-        self.physics, self.config, self.robots, self.speeds = physics, config, robots, speeds
+        self.physics, self.config, self.robots = physics, config, robots
+        self.commands = CommandRange(speeds, steering)
         self.law = config.law(motion)
         # Mean time between commanded speeds, s; None if every episode has one alone.
         self._command_s = config.command_s if speeds[0] < speeds[1] else None
@@ -81,21 +88,21 @@ class WalkEnv:
         self._start = jax.jit(self._start_states)
 
     def reset(self, key: jax.Array) -> WalkState:
-        """Robots near the reference motion: phase, speed, offset from it and scenario are drawn at random."""
-        time, factor, offset = self._draw(key, self.robots)
+        """Robots near the reference motion: phase, command, offset from it and scenario are drawn at random."""
+        time, told, offset = self._draw(key, self.robots)
         scenario = Scenario.nominal(self.robots, kd_scale=np.asarray(self.config.kd_scale))
         if self.config.scenario.active:
             scenario_key = jax.random.fold_in(key, _SCENARIO_KEY)
             scenario = draw_scenario(
                 self.config.scenario, scenario_key, self.robots, self._physics_hz, self.config.kd_scale
             )
-        return self.reset_at(time, scenario, factor, offset, key)
+        return self.reset_at(time, scenario, told, offset, key)
 
     def reset_at(
         self,
         time: Array,
         scenario: Scenario,
-        factor: Array | None = None,
+        told: Command | None = None,
         offset: StartOffset | None = None,
         key: jax.Array | None = None,
     ) -> WalkState:
@@ -104,14 +111,15 @@ class WalkEnv:
         Args:
           time: control step of the motion that they start at, [B].
           scenario: what acts on them from now on.
-          factor: on the motion's speed, [B]; evenly from the lowest to the highest unless given.
+          told: their commands; straight ahead, evenly from the lowest to the highest speed, unless given.
           offset: from the reference; none unless given.
           key: for the noise on the first observation; no noise unless given.
         """
         robots = len(time)
-        factor = np.linspace(*self.speeds, robots) if factor is None else factor
+        if told is None:
+            factor = np.linspace(*self.commands.speeds, robots, dtype=np.float32)
+            told = command.command_of(self.motion, jnp.asarray(factor))
         offset = StartOffset(np.zeros((robots, 2)), np.zeros((robots, 2))) if offset is None else offset
-        told = command.command_of(self.motion, jnp.asarray(factor, jnp.float32))
         start = self._start(jnp.asarray(time, jnp.int32), told, offset, scenario, key)
         physics = self.physics.init(start.qpos, start.qvel)
         zeros, ended = jnp.zeros(robots), jnp.zeros(robots, bool)
@@ -159,13 +167,13 @@ class WalkEnv:
         reference, _ = motions.reference(self.motion, state, ahead=1)
         return target(reference, self.law.residual(reference, action))
 
-    def _draw(self, key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array, StartOffset]:
-        """Phase [robots], speed factor [robots] and offset from the reference of new episodes.
+    def _draw(self, key: jax.Array, robots: int) -> tuple[jax.Array, Command, StartOffset]:
+        """Phase [robots], command and offset from the reference of new episodes.
 
         `robots` is a device's share of the B robots if there are several.
         """
         time = jax.random.randint(key, (robots,), 0, self.samples)
-        factor = command.draw_factor(jax.random.fold_in(key, _SPEED_KEY), robots, self.speeds)
+        told = command.draw_command(self.motion, jax.random.fold_in(key, _SPEED_KEY), robots, self.commands)
         size_key, angle_key = jax.random.split(jax.random.fold_in(key, _VELOCITY_KEY))
         size = self.config.start_velocity_mps * jnp.square(jax.random.uniform(size_key, (robots, 1)))
         angle = jax.random.uniform(angle_key, (robots,), maxval=2 * jnp.pi)
@@ -173,7 +181,7 @@ class WalkEnv:
         limit = self.config.start_offset_m
         y = jax.random.uniform(jax.random.fold_in(key, _OFFSET_KEY), (robots,), minval=-limit, maxval=limit)
         # xi = x + v sqrt(h / g) stays where it was.
-        return time, factor, StartOffset(velocity, jnp.stack([0 * y, y], axis=1) - CAPTURE_S * velocity)
+        return time, told, StartOffset(velocity, jnp.stack([0 * y, y], axis=1) - CAPTURE_S * velocity)
 
     def _noise(self, key: jax.Array | None, robots: int) -> Array:
         """Noise on what one control step adds to the observation, [robots, F]."""
@@ -183,12 +191,13 @@ class WalkEnv:
         return width * jax.random.uniform(key, (robots, len(width)), minval=-1.0)
 
     def _seen(self, state: MotionState, qpos: jax.Array, qvel: jax.Array) -> Seen:
-        return Seen(qpos, qvel, *motions.reference(self.motion, state, ahead=1), state.command)
+        ahead = motions.reference(self.motion, state, ahead=1)
+        return Seen(*into(state.path, qpos, qvel), *ahead, state.command)
 
     def _start_states(
         self,
         time: jax.Array,
-        told: motions.Command,
+        told: Command,
         offset: StartOffset,
         scenario: Scenario,
         key: jax.Array | None,
@@ -199,6 +208,7 @@ class WalkEnv:
             qpos.at[:, cassie.PELVIS_POSITION[:2]].add(offset.position).at[:, cassie.PELVIS_Z].add(scenario.ground.sine)
         )
         qvel = qvel.at[:, cassie.HORIZONTAL_VELOCITY].add(offset.velocity)
+        qpos, qvel = out_of(state.path, qpos, qvel)
         seen = self._seen(state, qpos, qvel)
         noise_key = None if key is None else jax.random.fold_in(key, _FRESH_NOISE_KEY)
         observation, sensing = self.law.observe(self.law.init(seen), seen, self._noise(noise_key, len(time)))
@@ -217,24 +227,28 @@ class WalkEnv:
         key: jax.Array,
     ) -> StepOutcome:
         """Reward, ends, and what comes next, for robots that physics has taken to qpos [B, 35] and qvel [B, 32]."""
-        state = motions.tick(before)
+        state = motions.tick(self.motion, before)
         reference = motions.reference(self.motion, state)
+        in_world = out_of(state.path, *reference)
         nan = ~(jnp.isfinite(qpos).all(axis=1) & jnp.isfinite(qvel).all(axis=1))
         qpos, sensed_qpos, sensed_qvel = merge(
-            nan, (reference[0], reference[0], reference[1]), (qpos, sensed_qpos, sensed_qvel)
+            nan, (in_world[0], in_world[0], in_world[1]), (qpos, sensed_qpos, sensed_qvel)
         )
-        rewards, terms, walked = self._rewards(qpos, reference[0], scenario.ground, nan)
+        walked = self._on_the_path(state.path, qpos, qvel, scenario.ground)
+        rewards, terms = self._rewards(walked, reference[0], nan)
         earned = rewards[self.config.reward]
-        lead = (walked - reference[0])[:, cassie.PELVIS_X]
+        lead, aside = ((walked - reference[0])[:, axis] for axis in (cassie.PELVIS_X, cassie.PELVIS_Y))
+        # Where robots are steered, one must not do without the position's share of the reward to the side either.
+        away = lead if self.commands.steering == STRAIGHT else jnp.maximum(abs(lead), abs(aside))
         causes = ends(
-            nan, walked[:, cassie.PELVIS_Z], earned, lead, self.config.min_reward, self.config.max_position_error_m
+            nan, walked[:, cassie.PELVIS_Z], earned, away, self.config.min_reward, self.config.max_position_error_m
         )
         terminated = jnp.stack(causes).any(axis=0)
         truncated = ~terminated & self._is_last(state)
         ended = terminated | truncated
         privileged = self._privileged(state, scenario, lead)
         if self.config.leash_m is not None:
-            state = motions.follow(state, lead, self.config.leash_m)
+            state = motions.follow(state, lead, aside, self.config.leash_m)
         scenario = self._renew(scenario, state, ended, key)
         state = self._told(state, key)
         start = self._begin_anew(state, scenario, key)
@@ -257,16 +271,18 @@ class WalkEnv:
             metrics={**rewards, **terms._asdict(), **causes},
         )
 
+    def _on_the_path(self, path: Path, qpos: jax.Array, qvel: jax.Array, ground: Ground) -> jax.Array:
+        """World states' qpos [B, 35] in the path's frame and as on flat ground, where the reference walks."""
+        height = height_below(ground, qpos[:, cassie.PELVIS_X], qpos[:, cassie.PELVIS_Y])
+        return into(path, qpos, qvel)[0].at[:, cassie.PELVIS_Z].add(-height)
+
     def _rewards(
-        self, qpos: jax.Array, reference: jax.Array, ground: Ground, nan: jax.Array
-    ) -> tuple[dict[str, jax.Array], reward.Terms, jax.Array]:
-        """Both rewards, the terms of the one learned from, and qpos as on flat ground, where the reference walks."""
-        walked = qpos.at[:, cassie.PELVIS_Z].add(
-            -height_below(ground, qpos[:, cassie.PELVIS_X], qpos[:, cassie.PELVIS_Y])
-        )
+        self, walked: jax.Array, reference: jax.Array, nan: jax.Array
+    ) -> tuple[dict[str, jax.Array], reward.Terms]:
+        """Both rewards, and the terms of the one learned from."""
         terms = {name: reward.terms(scale, walked, reference) for name, scale in reward.SCALES.items()}
         rewards = {name: jnp.where(nan, 0.0, reward.total(values)) for name, values in terms.items()}
-        return rewards, terms[self.config.reward], walked
+        return rewards, terms[self.config.reward]
 
     def _is_last(self, state: MotionState) -> jax.Array:
         """Whether this control step is the last of an episode: its time is up, or the motion has ended."""
@@ -285,16 +301,16 @@ class WalkEnv:
         if self._command_s is None:
             return state
         target_key = jax.random.fold_in(key, _COMMAND_KEY)
-        state = command.redraw_target(self.motion, state, target_key, self.speeds, self._command_s)
+        state = command.redraw_target(self.motion, state, target_key, self.commands, self._command_s)
         return motions.approach(self.motion, state)
 
     def _begin_anew(self, state: MotionState, scenario: Scenario, key: jax.Array) -> Start:
-        """New episodes, one a robot. Where speeds are commanded on the way, they go on at that of the last.
+        """New episodes, one a robot. Where commands change on the way, they go on with that of the last.
 
         So how long a speed is walked does not depend on how early its episodes end.
         """
-        time, factor, offset = self._draw(key, len(state.time))
-        told = command.command_of(self.motion, factor) if self._command_s is None else state.command
+        time, drawn, offset = self._draw(key, len(state.time))
+        told = drawn if self._command_s is None else state.command
         start = self._start_states(time, told, offset, scenario, key)
         if self._command_s is None:
             return start
@@ -314,8 +330,8 @@ class WalkEnv:
         if self.law.symmetric:
             side = jnp.where(second_step(motions.reference(self.motion, state)[0]), -1.0, 1.0)
         force = scenario.force(state.step * self._substeps)[:, :2] / PUSH_N
+        force, slope = (turned(each, -state.path.heading) for each in (force, ground.slope / SLOPE_RAD))
         late = scenario.delay[:, None] * self._timestep / DELAY_S
         heights = jnp.stack([ground.sine, ground.steps, ground.rough], axis=1) / HEIGHT_M
-        slope = ground.slope / SLOPE_RAD
         along, aside = (each * jnp.concatenate([jnp.ones_like(side), side], axis=1) for each in (force, slope))
         return jnp.concatenate([ahead, along, aside, late, heights], axis=1).astype(jnp.float32)

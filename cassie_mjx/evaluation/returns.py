@@ -8,11 +8,13 @@ import numpy as np
 
 from cassie_mjx.agents.policy import PolicyAgent
 from cassie_mjx.agents.types import Agent, AgentState, Sensed
+from cassie_mjx.control.path import Path, bend, into, out_of
 from cassie_mjx.envs import reward
+from cassie_mjx.envs.command import steered
 from cassie_mjx.envs.termination import has_fallen, height_over_ground
 from cassie_mjx.evaluation.simulate import Simulation, run_to_end
 from cassie_mjx.evaluation.trial import Metric
-from cassie_mjx.motion.command import Command
+from cassie_mjx.motion.command import STRAIGHT, Command, Steering
 from cassie_mjx.motion.reference import ReferenceMotion, mean_speed, nearest_sample, sample
 from cassie_mjx.physics.types import Physics, PhysicsState, Scenario, merge, to_backend
 from cassie_mjx.robot.arrays import Array, namespace
@@ -23,6 +25,9 @@ CHOOSING_PHASES = np.arange(10) / 10
 """Phases of the stride that training measures from, and by which it chooses its best policy."""
 
 EPISODE_STEPS = 300
+
+_GOLDEN_ANGLE = np.float32(np.pi * (3 - np.sqrt(5)))
+"""From the direction in which one robot is steered to that of the next, rad: they are spread evenly."""
 
 
 @jax.tree_util.register_dataclass
@@ -38,6 +43,7 @@ class ReturnRecord:
       weighted: sum of the weighted reward, [B].
       command: of the robots; None for the motion's own speed.
       motion: what is imitated, from x = 0 on.
+      path: where the path that it goes along lies in the world, leaves [B].
     """
 
     time: Array
@@ -47,6 +53,7 @@ class ReturnRecord:
     weighted: Array
     command: Command | None
     motion: ReferenceMotion
+    path: Path
 
     @property
     def finished(self) -> Array:
@@ -59,13 +66,15 @@ class ReturnRecord:
 
     def update(self, state: PhysicsState, scenario: Scenario) -> "ReturnRecord":
         """See `simulate.Record.update`."""
-        time, xp = self.time + 1, namespace(state.qpos)
-        plain, weighted = to_backend(state, _rewards(self.motion, time, self.command, state.qpos, scenario.ground))
+        xp = namespace(state.qpos)
+        rewarded = _rewards(self.motion, self.time, self.command, self.path, state.qpos, state.qvel, scenario.ground)
+        plain, weighted, path = to_backend(state, rewarded)
         fell = has_fallen(height_over_ground(state.qpos, scenario.ground)) | ~xp.isfinite(state.qvel).all(axis=1)
         up = ~self.finished
         return replace(
             self,
-            time=time,
+            time=self.time + 1,
+            path=path,
             steps=self.steps + (up & ~fell),
             fell=self.fell | (up & fell),
             plain=self.plain + up * plain,
@@ -75,17 +84,29 @@ class ReturnRecord:
 
 @jax.jit
 def _rewards(
-    motion: ReferenceMotion, time: Array, command: Command | None, qpos: Array, ground: Ground
-) -> tuple[jax.Array, jax.Array]:
-    """Plain and weighted reward, [B]; 0 for a robot whose physics diverged."""
-    reference, _ = sample(motion, time, command)
+    motion: ReferenceMotion,
+    time: Array,
+    command: Command | None,
+    path: Path,
+    qpos: Array,
+    qvel: Array,
+    ground: Ground,
+) -> tuple[jax.Array, jax.Array, Path]:
+    """Plain and weighted reward at the end of a control step that began at `time`, [B], and the path from then on.
+
+    A robot whose physics diverged earns 0.
+    """
+    reference, velocity = sample(motion, time + 1, command)
+    if command is not None:
+        path = bend(path, command, sample(motion, time, command)[0], reference)
     nan = ~jnp.isfinite(qpos).all(axis=1)
-    qpos = merge(nan, reference, qpos)
+    qpos = merge(nan, out_of(path, reference, velocity)[0], qpos)
     # The reference walks on flat ground: its z counts from the ground below.
-    walked = qpos.at[:, PELVIS_Z].add(-height_below(ground, qpos[:, PELVIS_X], qpos[:, PELVIS_Y]))
+    height = height_below(ground, qpos[:, PELVIS_X], qpos[:, PELVIS_Y])
+    walked = into(path, qpos, qvel)[0].at[:, PELVIS_Z].add(-height)
     totals = (reward.total(reward.terms(reward.SCALES[name], walked, reference)) for name in ("plain", "weighted"))
     plain, weighted = (jnp.where(nan, 0.0, total) for total in totals)
-    return plain, weighted
+    return plain, weighted, path
 
 
 def walk_returns(
@@ -94,6 +115,7 @@ def walk_returns(
     speeds: tuple[float, float] = (1.0, 1.0),
     phases: np.ndarray = CHOOSING_PHASES,
     delay: int = 0,
+    steering: Steering = STRAIGHT,
 ) -> dict[str, float]:
     """Walk one episode of 300 control steps from each of several phases of the stride; rewards after a fall are 0.
 
@@ -103,6 +125,7 @@ def walk_returns(
       speeds: lowest and highest factor on the motion's speed; the B commands go from the one to the other.
       phases: of the stride at the start, 0 to 1, [B].
       delay: age of what is sensed, physics steps.
+      steering: how far robots are steered off straight ahead, each to another side.
 
     Returns:
       Means over the starts: `return_plain`, `return_weighted`, and `steps` survived, of 300.
@@ -111,13 +134,16 @@ def walk_returns(
     time = (nearest_sample(phases, samples) % samples).astype(np.int32)
     command = None
     if speeds != (1.0, 1.0):
-        command = Command(np.float32(mean_speed(agent.motion)) * np.linspace(*speeds, starts, dtype=np.float32))
+        forward = np.float32(mean_speed(agent.motion)) * np.linspace(*speeds, starts, dtype=np.float32)
+        direction = _GOLDEN_ANGLE * np.arange(starts, dtype=np.float32)
+        command = steered(forward, steering, np.cos(direction), np.sin(direction))
     qpos, qvel = sample(agent.motion, time, command)
     state = physics.init(np.asarray(qpos, float), np.asarray(qvel, float))
     scenario = Scenario.nominal(starts, kd_scale=np.asarray(agent.kd_scale), delay=np.int32(delay))
     carry = agent.init(Sensed(state.qpos, state.qvel), time)
     zeros = np.zeros(starts)
-    record = ReturnRecord(time, np.zeros(starts, int), zeros > 0, zeros, zeros, command, agent.motion)
+    sums = (np.zeros(starts, int), zeros > 0, zeros, zeros)
+    record = ReturnRecord(time, *sums, command, agent.motion, Path.world(starts))
     simulation = Simulation(AgentState(state, carry), scenario, record, command)
     record = run_to_end(agent, physics, simulation).record
     sums = {"return_plain": record.plain, "return_weighted": record.weighted, "steps": record.steps}

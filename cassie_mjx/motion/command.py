@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from cassie_mjx.robot.arrays import Array
+from cassie_mjx.robot.arrays import Array, namespace
 
 FASTEST = 4.0
 """Largest factor on the speed of the recorded stride (Xie et al. 2018): the legs cannot follow it beyond."""
@@ -13,7 +13,34 @@ class Command(NamedTuple):
     """Commanded velocities of robots, in the frame of the path that they walk along."""
 
     forward: Array
-    """[B], m/s."""
+    """[B], m/s; below 0 backwards."""
+    lateral: Array
+    """[B], m/s, to the left."""
+    yaw_rate: Array
+    """[B], rad/s, to the left."""
+
+    @classmethod
+    def ahead(cls, forward: Array) -> "Command":
+        """Straight ahead at `forward` [B], m/s."""
+        nothing = namespace(forward).zeros_like(forward)
+        return cls(forward, nothing, nothing)
+
+
+class Steering(NamedTuple):
+    """How far training steers robots off straight ahead, either way."""
+
+    lateral: float = 0.0
+    """m/s."""
+    yaw_rate: float = 0.0
+    """rad/s."""
+
+
+STRAIGHT = Steering()
+JOYSTICK, JOYSTICK_MPS = Steering(0.4, 0.8), (-0.7, 2.8)
+"""What `command=joystick` commands: the steering, and the range of forward speeds, m/s."""
+FULL_STEERING_MPS, LEAST_STEERING = 2.1, 0.5
+"""Forward speed up to which all of the steering is drawn, m/s, and the share of it at the highest speed."""
+COMMANDS = ("speed", "joystick")
 
 
 def speed_factor(speed: str, valid: str = SPEEDS) -> float:

@@ -12,12 +12,13 @@ from cassie_mjx.motion.command import FASTEST, Command
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array, namespace
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X
+from cassie_mjx.robot.rotation import up_in_body
 
 RAMP_PER_S = 0.625
 """Pace at which a walk is brought to another speed, 1/s, in multiples of the stride's: lambda = 1 - 0.625 t between
 neighbours of 0x, 1x, 2x, ... (Xie et al. 2018)."""
 
-VELOCITY_X = int(cassie.PELVIS_VELOCITY[0])
+VELOCITY_X, VELOCITY_Y, _ = cassie.PELVIS_VELOCITY.tolist()
 QUATERNION_NAMES = ("pelvis", "left-achilles-rod", "right-achilles-rod")
 QUATERNIONS = np.stack([cassie.qpos_index(name)[-4:] for name in QUATERNION_NAMES])
 """Where qpos has each of these quaternions, [3, 4]."""
@@ -51,7 +52,8 @@ def sample(motion: ReferenceMotion, time: Array, command: Command | None = None)
       motion: NumPy or JAX.
       time: control steps since the start of the motion, [B], integers, also negative ones.
       command: of the robots; the motion's own speed unless given. Forward, pelvis x and its velocity are
-        stretched (Xie et al. 2018): x'(t) = v' / v x(t).
+        stretched (Xie et al. 2018): x'(t) = v' / v x(t). The lateral velocity and the yaw rate are those of the path
+        (`control.path.bend`): they are added to the pelvis' velocities, and no place in the path's frame changes.
     """
     xp = namespace(motion.qpos, time)
     samples = motion.qpos.shape[0]
@@ -63,7 +65,22 @@ def sample(motion: ReferenceMotion, time: Array, command: Command | None = None)
     # x(k + n N) = x(k) + n L
     advance = xp.asarray(laps, dtype=qpos.dtype) * xp.asarray(motion.stride_length, dtype=qpos.dtype)
     qpos = qpos + advance[..., None] * xp.asarray(np.arange(cassie.NQ) == PELVIS_X, dtype=qpos.dtype)
-    return (qpos, qvel) if command is None else stretch_states(qpos, qvel, speed_ratio(motion, command))
+    if command is None:
+        return qpos, qvel
+    qpos, qvel = stretch_states(qpos, qvel, speed_ratio(motion, command))
+    return qpos, _steered(qpos, qvel, command)
+
+
+def _steered(qpos: Array, qvel: Array, command: Command) -> Array:
+    """Velocities [B, 32] of a reference at qpos [B, 35], with those of the path; straight ahead no bit changes."""
+    xp = namespace(qvel, command.lateral)
+    lateral, yaw_rate = (xp.asarray(told, dtype=qvel.dtype)[..., None] for told in (command.lateral, command.yaw_rate))
+    first, *_, last = cassie.PELVIS_ANGULAR_VELOCITY
+    # omega_B = omega_B + psi' R^T e_z
+    turning = qvel[..., first : last + 1] + yaw_rate * up_in_body(qpos[..., cassie.PELVIS_QUATERNION])
+    aside = qvel[..., VELOCITY_Y : VELOCITY_Y + 1] + lateral
+    before, between, after = qvel[..., :VELOCITY_Y], qvel[..., VELOCITY_Y + 1 : first], qvel[..., last + 1 :]
+    return xp.concatenate([before, aside, between, turning, after], axis=-1)
 
 
 def speed_ratio(motion: ReferenceMotion, command: Command) -> Array:

@@ -9,6 +9,28 @@ def yaw(quaternion: Array) -> Array:
     return namespace(quaternion).arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
 
 
+def turned(vector: Array, angle: Array) -> Array:
+    """Horizontal vectors [..., 2] turned to the left by angles [...], rad; unchanged to the last bit by 0."""
+    xp = namespace(vector, angle)
+    x, y, cos, sin = vector[..., 0], vector[..., 1], xp.cos(angle), xp.sin(angle)
+    return xp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+
+
+def turned_orientation(quaternion: Array, angle: Array) -> Array:
+    """Orientations [..., 4] turned to the left about the world's z by angles [...], rad; exactly the same by 0."""
+    xp = namespace(quaternion, angle)
+    cos, sin = xp.cos(angle / 2), xp.sin(angle / 2)
+    w, x, y, z = (quaternion[..., i] for i in range(4))
+    # (cos, 0, 0, sin) q
+    return xp.stack([cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w], axis=-1)
+
+
+def up_in_body(quaternion: Array) -> Array:
+    """The world's z in frames with these orientations [..., 4], [..., 3]: the last row of the rotation matrix."""
+    w, x, y, z = (quaternion[..., i] for i in range(4))
+    return namespace(quaternion).stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
+
+
 def align(quaternion: Array, reference: Array) -> Array:
     """The one of q and -q, which are the same orientation, that is nearer to a reference; both [..., 4]."""
     xp = namespace(quaternion, reference)

@@ -13,7 +13,7 @@ from cassie_mjx.cli.keys import present_name
 from cassie_mjx.cli.reading import BOOLEANS
 from cassie_mjx.configuration.values import Checked, Range, Seed, label
 from cassie_mjx.envs.config import WALK_PRESETS, WalkConfig
-from cassie_mjx.motion.command import speed_factors
+from cassie_mjx.motion.command import COMMANDS, speed_factors
 from cassie_mjx.physics.make import ENGINES
 from cassie_mjx.ppo import learner
 from cassie_mjx.ppo.config import PPO_PRESETS, PPOConfig
@@ -57,10 +57,18 @@ LOGS = ("jsonl", "tensorboard", *TRACKERS)
 class TrainConfig(Checked):
     """A training run."""
 
-    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"physics": ("auto", *ENGINES), "contacts": CONTACTS, "log": LOGS}
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {
+        "command": COMMANDS,
+        "physics": ("auto", *ENGINES),
+        "contacts": CONTACTS,
+        "log": LOGS,
+    }
 
     speed: str = "1x"
     """Factor on the pelvis x of the reference motion, from "0x" to "4x"; "any" commands one after another."""
+    command: str = "speed"
+    """What robots are commanded, one command after another: "speed", what `speed` says, straight ahead; "joystick",
+    -0.7 to 2.8 m/s forward, 0.4 m/s to either side and turns of 0.8 rad/s."""
     physics: str = "auto"
     """"native": MuJoCo C on CPU threads; "mjx"; "auto": MJX if there is an accelerator."""
     physics_hz: PhysicsHz | None = None
@@ -90,7 +98,7 @@ class TrainConfig(Checked):
     """Evaluations from one film of the policy to the next, in films/ of the run's directory and for each tracker; 0 for
     no films."""
     run_dir: str | None = None
-    """Directory of the run; null for runs/<speed>-seed<seed>."""
+    """Directory of the run; null for runs/<speed>-seed<seed>, or runs/joystick-seed<seed>."""
     resume: bool = False
     """Whether to go on with the run that `run_dir` holds, if it holds one."""
     distributed: bool = False
@@ -99,7 +107,9 @@ class TrainConfig(Checked):
     def __post_init__(self) -> None:
         """Raise ValueError for a value out of range."""
         super().__post_init__()
-        speed_factors(self.speed)
+        factor, speeds = speed_factors(self.speed)
+        if self.command == "joystick" and (factor, speeds) != (1.0, (1.0, 1.0)):
+            raise ValueError(f"command=joystick commands the speed too; leave out speed={self.speed}.")
         for name in ("init", "run_dir"):
             if getattr(self, name) == "":
                 raise ValueError(f"{name} is empty; name one, or null.")
@@ -109,11 +119,12 @@ class TrainConfig(Checked):
     @property
     def folder(self) -> Path:
         """Directory of the run."""
-        return Path(f"runs/{self.speed}-seed{self.seed}" if self.run_dir is None else self.run_dir)
+        name = self.speed if self.command == "speed" else self.command
+        return Path(f"runs/{name}-seed{self.seed}" if self.run_dir is None else self.run_dir)
 
     def apart(self, swept: Mapping[str, str]) -> "TrainConfig":
         """One combination of a sweep, with a directory of its own: its name has what `run_dir` would not tell."""
-        told = ("run_dir",) if self.run_dir else ("speed", "seed")
+        told = ("run_dir",) if self.run_dir else ("speed", "command", "seed")
         if name := label({key: value for key, value in swept.items() if key not in told}):
             return replace(self, run_dir=f"{self.folder}-{name}")
         return self

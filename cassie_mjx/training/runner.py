@@ -21,6 +21,7 @@ from cassie_mjx import cli
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy import PolicyAgent, policy_step
 from cassie_mjx.agents.policy_file import learner_policy, save_policy
+from cassie_mjx.envs.command import limits
 from cassie_mjx.evaluation.returns import walk_returns
 from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.physics.make import make_physics
@@ -47,7 +48,6 @@ class Runner:
         """
         self.config = config = resolve_config(config)
         self.folder = Path(str(config.run_dir))
-        self.factor, self.speeds = speed_factors(config.speed)
         begun = checkpoint.latest(self.folder / "checkpoints") is not None
         init = None if begun else initial_policy(config)
         self.provenance = cli.provenance()
@@ -190,7 +190,8 @@ class Runner:
     def _returns(self) -> tuple[Policy, dict[str, float]]:
         """The present policy, and what it is worth."""
         policy = devices.own_copy(self.run.learner.policy)
-        returns = walk_returns(self._agent(policy), self.eval_engine, self.speeds)
+        commands = self.trainer.env.commands
+        returns = walk_returns(self._agent(policy), self.eval_engine, commands.speeds, steering=commands.steering)
         self.counters.walked, self.counters.measurements = returns["steps"], self.counters.measurements + 1
         return policy, returns
 
@@ -242,8 +243,11 @@ class Runner:
         if returns[goal] > getattr(counters, goal) or walk.scenario.active:
             counters.return_plain, counters.return_weighted = returns["return_plain"], returns["return_weighted"]
             names.append("best")
+        factor, _ = speed_factors(self.config.speed)
+        followed = limits(self.motion, self.trainer.env.commands)
         for name in names:
-            save_policy(self.folder / f"{name}.npz", policy, self.motion, self.factor, walk.kd_scale, origin, self.law)
+            path = self.folder / f"{name}.npz"
+            save_policy(path, policy, self.motion, factor, walk.kd_scale, origin, self.law, followed)
 
     def _values(self, metrics: IterationMetrics, returns: dict[str, float], eval_s: float) -> dict[str, float]:
         """One line of metrics; counts, rates and shares of the time are those since the last line."""

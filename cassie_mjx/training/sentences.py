@@ -19,8 +19,9 @@ def plan(config: TrainConfig) -> str:
     mjx = config.physics == "mjx"
     count = jax.device_count() if mjx else jax.process_count()
     spread = f" {'on' if mjx else 'in'} {count} {'devices' if mjx else 'processes'}" if count > 1 else ""
+    told = config.speed if config.command == "speed" else config.command
     return (
-        f"{config.speed} on {config.reference}{origin}, {config.ppo.num_robots} robots on {config.physics}{spread} "
+        f"{told} on {config.reference}{origin}, {config.ppo.num_robots} robots on {config.physics}{spread} "
         f"at {config.physics_hz} Hz, {config.ppo.iterations} iterations of {config.ppo.num_samples:,} samples."
         f"{_memory(config) if config.physics == 'mjx' else ''}"
     )

@@ -13,9 +13,9 @@ from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy_file import learner_policy
 from cassie_mjx.agents.shipped import existing_policy
 from cassie_mjx.control.law import ControlLaw
+from cassie_mjx.envs.command import command_range
 from cassie_mjx.envs.termination import Ends
 from cassie_mjx.envs.walk import WalkEnv
-from cassie_mjx.motion.command import speed_factors
 from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.make import ENGINES, make_physics
 from cassie_mjx.physics.types import Physics
@@ -104,9 +104,9 @@ class Trainer:
         model_hz = config.physics_hz or solver.physics_hz
         model = replace(solver, physics_hz=model_hz, scene=config.walk.scenario.scene, contacts=config.contacts)
         physics = make_physics(config.physics, model, config.walk.scenario.delay_steps(model_hz))
-        _, speeds = speed_factors(config.speed)
+        commands = command_range(motion, config.speed, config.command)
         if physics.traceable:
-            self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots, speeds)
+            self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots, *commands)
             self.collect = partial(rollout.collect, self.env.step, config.ppo)
             self._parts, places = jax.device_count(), None
             if self._parts > 1:
@@ -118,7 +118,7 @@ class Trainer:
             self.iterate = jax.jit(whole, out_shardings=(places, self._same))
         else:
             timed = _TimedPhysics(physics, self.timer)
-            self.env = WalkEnv(timed, motion, config.walk, config.ppo.num_robots, speeds)
+            self.env = WalkEnv(timed, motion, config.walk, config.ppo.num_robots, *commands)
             self.collect = partial(rollout.collect_on_host, self.env.step, config.ppo)
             self._parts = jax.process_count()
             if self._parts > 1:
