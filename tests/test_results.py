@@ -72,6 +72,9 @@ def learned_with_the_present_default():
     yield f"{samples['n']} of {samples['runs']} seeds pass 250 plain within"
     yield f"{samples['max'] / 1e3:.0f} thousand samples"
     yield f"{plain['min']:.1f} to {plain['max']:.1f} plain and {weighted['min']:.1f} to {weighted['max']:.1f} weighted"
+    ends = {row["variant"]: row["mean"] for row in rows("default_speeds", quantity="return_plain")}
+    still, double, triple, fast = (f"{ends[f'{speed}-default']:.1f}" for speed in ("0x", "2x", "3x", "4x"))
+    yield f"end at {still}, {double}, {triple} and {fast} plain"
 
 
 def learned_alone():
