@@ -113,9 +113,9 @@ def walk_returns(
     agent: PolicyAgent,
     physics: Physics,
     speeds: tuple[float, float] = (1.0, 1.0),
+    steering: Steering = STRAIGHT,
     phases: np.ndarray = CHOOSING_PHASES,
     delay: int = 0,
-    steering: Steering = STRAIGHT,
 ) -> dict[str, float]:
     """Walk one episode of 300 control steps from each of several phases of the stride; rewards after a fall are 0.
 
@@ -123,9 +123,9 @@ def walk_returns(
       agent: the policy.
       physics: the engine.
       speeds: lowest and highest factor on the motion's speed; the B commands go from the one to the other.
+      steering: how far robots are steered off straight ahead, each to another side.
       phases: of the stride at the start, 0 to 1, [B].
       delay: age of what is sensed, physics steps.
-      steering: how far robots are steered off straight ahead, each to another side.
 
     Returns:
       Means over the starts: `return_plain`, `return_weighted`, and `steps` survived, of 300.
@@ -133,7 +133,7 @@ def walk_returns(
     samples, starts = agent.motion.qpos.shape[0], len(phases)
     time = (nearest_sample(phases, samples) % samples).astype(np.int32)
     command = None
-    if speeds != (1.0, 1.0):
+    if (speeds, steering) != ((1.0, 1.0), STRAIGHT):
         forward = np.float32(mean_speed(agent.motion)) * np.linspace(*speeds, starts, dtype=np.float32)
         direction = _GOLDEN_ANGLE * np.arange(starts, dtype=np.float32)
         command = steered(forward, steering, np.cos(direction), np.sin(direction))

@@ -190,8 +190,7 @@ class Runner:
     def _returns(self) -> tuple[Policy, dict[str, float]]:
         """The present policy, and what it is worth."""
         policy = devices.own_copy(self.run.learner.policy)
-        commands = self.trainer.env.commands
-        returns = walk_returns(self._agent(policy), self.eval_engine, commands.speeds, steering=commands.steering)
+        returns = walk_returns(self._agent(policy), self.eval_engine, *self.trainer.env.commands)
         self.counters.walked, self.counters.measurements = returns["steps"], self.counters.measurements + 1
         return policy, returns
 
