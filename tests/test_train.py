@@ -119,10 +119,10 @@ def test_a_run_that_died_between_checkpoints_goes_on_from_the_last(unbroken, tmp
 
 def die_at_the_second_evaluation():
 
-    def save(path, policy, motion, speed, kd_scale, provenance, symmetric):
+    def save(path, policy, motion, speed, kd_scale, provenance, *rest):
         if provenance["samples"] == 4 * TINY.num_samples:
             raise RuntimeError
-        save_policy(path, policy, motion, speed, kd_scale, provenance, symmetric)
+        save_policy(path, policy, motion, speed, kd_scale, provenance, *rest)
 
     return save
 
@@ -333,7 +333,7 @@ def test_a_sweep_runs_every_combination(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("argument", "sentence"),
     [
-        ("sped=2x", "'sped' is not a key; the keys are speed, physics, physics_hz, contacts, seed,"),
+        ("sped=2x", "'sped' is not a key; the keys are speed, command, physics, physics_hz, contacts, seed,"),
         ("ppo.clip=1", "'ppo.clip' is not a key; the keys are num_robots, num_steps,"),
         ("+song=1", "'+song' is not a key; the keys are speed,"),
         ("walk.scenario.wind=1", "'walk.scenario.wind' is not a key; the keys are push_n,"),
