@@ -16,7 +16,7 @@ from rich.table import Table
 from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
 from cassie_mjx.evaluation.setup import PHASES, EvalSetup
-from cassie_mjx.evaluation.suites import ALL, SUITES
+from cassie_mjx.evaluation.suites import ALL, HIGHEST_TRIED, SUITES
 from cassie_mjx.physics.make import ENGINES
 
 
@@ -58,7 +58,9 @@ def main(config: EvaluateConfig) -> None:
         rows += found
         if result.cells is not None:
             cells[suite] = result.cells
-    provenance = cli.provenance(**asdict(config), phases=PHASES, agent=dict(agent.provenance), seconds=seconds)
+    provenance = cli.provenance(
+        **asdict(config), phases=PHASES, highest=HIGHEST_TRIED, agent=dict(agent.provenance), seconds=seconds
+    )
     cli.write_result(out, {"rows": rows, **cells, "provenance": provenance})
 
 

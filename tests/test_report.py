@@ -120,6 +120,15 @@ def test_a_limit_at_the_highest_level_tried_says_so(everything):
     assert row_of(table, "terrain")[ours] == "0.30 (0.20 to 0.40), the highest tried by 1 of them"
 
 
+def test_a_file_says_itself_up_to_which_level_it_tried(everything):
+    for seed, h in enumerate((0.5, 0.8)):
+        tried = {"highest": {"terrain_h_m": 0.8}}
+        write(everything, f"evaluate/1x-robust-seed{seed}.json", figures(terrain_h_m=h), tried)
+    table = tables.beside_the_paper(everything)
+    ours = next(name for name in table.header if name.startswith("`1x-robust`"))
+    assert row_of(table, "terrain")[ours] == "0.65 (0.50 to 0.80), the highest tried by 1 of them"
+
+
 @pytest.mark.parametrize(
     ("origin", "complaint"),
     [

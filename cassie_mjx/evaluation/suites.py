@@ -22,6 +22,12 @@ from cassie_mjx.robot.ground import HIGHEST, Terrain
 TERRAIN_STEP_M, HIGHEST_TERRAIN_M = 0.01, 0.8
 LONGEST_DELAY_S = 0.04
 RETURN_DELAYS_MS = (5, 10)
+HIGHEST_TRIED = {
+    "terrain_h_m": HIGHEST_TERRAIN_M,
+    "terrain_h_m_60s": HIGHEST_TERRAIN_M,
+    "delay_max_ms": 1000 * LONGEST_DELAY_S,
+}
+"""The highest level tried of limits of `ALL`, as results have it: one that reaches it may be larger."""
 
 Suite: TypeAlias = Callable[[Agent, EvalSetup], SuiteResult]
 

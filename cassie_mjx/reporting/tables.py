@@ -20,7 +20,7 @@ class Row(NamedTuple):
     paper_policy: str = NO_FIGURE
     digits: int = 0
     highest: float = float("inf")
-    """The highest level tried: a limit that reaches it may be larger."""
+    """The highest level tried, of files that do not say it: a limit that reaches it may be larger."""
 
 
 # Paper: Xie et al. (IROS 2018), section V. It pushed "sideways" and names no phase of the stride.
@@ -64,12 +64,14 @@ def least(result: Result, quantities: Sequence[str]) -> float | None:
 
 def cell(row: Row, results: Sequence[Result]) -> str:
     """The interquartile mean over the results, one a seed, and the least and greatest of them."""
-    values = [value for result in results if (value := least(result, row.quantities)) is not None]
-    if not values:
+    measured = [(value, result) for result in results if (value := least(result, row.quantities)) is not None]
+    if not measured:
         return NO_FIGURE
+    values = [value for value, _ in measured]
     text = span(values, row.digits)
     text += f" ({len(values)} of {len(results)} seeds)" if len(values) < len(results) else ""
-    ends = sum(value >= row.highest for value in values)
+    tried = [result.provenance.get("highest", {}).get(row.quantities[0], row.highest) for _, result in measured]
+    ends = sum(value >= highest for value, highest in zip(values, tried, strict=True))
     text += ", the highest tried" if ends else ""
     return text + (f" by {ends} of them" if 0 < ends < len(values) else "")
 
