@@ -19,10 +19,10 @@ from cassie_mjx.agents.types import Agent
 from cassie_mjx.evaluation.pushes import pushed, towards
 from cassie_mjx.evaluation.scheduler import run_trials
 from cassie_mjx.evaluation.setup import LIMIT_PHASES, WALK_S, EvalSetup
-from cassie_mjx.evaluation.suites import LONGEST_DELAY_S
 from cassie_mjx.evaluation.trial import Trial
 from cassie_mjx.physics.make import ENGINES
 from cassie_mjx.robot.ground import Terrain
+from cassie_mjx.robot.model import ModelConfig
 
 DIRECTIONS_DEG = np.arange(8) * 45.0
 FORCES_N = np.arange(20, 241, 20)
@@ -67,7 +67,7 @@ def subsets() -> list[Subset]:
     return [
         Subset("push", pushes),
         Subset("terrain", hills, scene="terrain"),
-        Subset("delay", delays, longest_delay_s=LONGEST_DELAY_S),
+        Subset("delay", delays, longest_delay_s=DELAYS.max() / ModelConfig().physics_hz),
     ]
 
 

@@ -148,8 +148,8 @@ def test_a_terrain_that_is_none_gets_one_sentence(text):
 def test_the_suite_asks_for_each_kind(monkeypatch):
     asked = []
 
-    def limits(lasting, agent, physics, starts, setup, walk_s):
-        asked.append((lasting.quantity, lasting.disturb(1)["terrain"], lasting.levels, physics, walk_s))
+    def limits(lasting, agent, physics, starts, setup):
+        asked.append((lasting.quantity, lasting.disturb(1)["terrain"], lasting.levels, physics, lasting.seconds))
         return []
 
     class Setup(suites.EvalSetup):

@@ -201,7 +201,8 @@ class Controller:
         carry = self.law.init(seen) if self._carry is None else self._carry
         residual, self._carry = self.law.act(self._network, carry, seen)
         if told is not None:
-            self._path = bend_beside(self._path, self.motion, time, told, own_qpos[:, cassie.PELVIS_X])
+            now, _ = sample(self.motion, time, told)
+            self._path = bend_beside(self._path, told, now, ahead[0], own_qpos[:, cassie.PELVIS_X])
         self._step += 1
         self._targets = target(ahead[0], residual)[0]
         return self._targets.copy()

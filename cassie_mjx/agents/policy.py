@@ -49,7 +49,8 @@ def policy_step(
     residual, sensing = law.act(network, carry.sensing, Seen(qpos, qvel, *ahead, command))
     path = carry.path
     if command is not None:
-        path = bend_beside(path, motion, carry.time, command, qpos[:, cassie.PELVIS_X])
+        now, _ = sample(motion, carry.time, command)
+        path = bend_beside(path, command, now, ahead[0], qpos[:, cassie.PELVIS_X])
     samples = motion.qpos.shape[0]
     time = (carry.time + 1) % samples if motion.periodic else carry.time + 1
     return target(ahead[0], residual), PolicyCarry(time, sensing, path)

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from cassie_mjx.motion.command import Command
-from cassie_mjx.motion.reference import ReferenceMotion, sample
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array, namespace
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X, PELVIS_Z
@@ -71,20 +70,14 @@ def bend(path: Path, command: Command, now: Array, ahead: Array, lead: Array | f
     return _by(path, command, moved + _leftwards(path.heading + turn / 2, way), turn)
 
 
-def bend_beside(path: Path, motion: ReferenceMotion, time: Array, command: Command, x: Array) -> Path:
+def bend_beside(path: Path, command: Command, now: Array, ahead: Array, x: Array) -> Path:
     """The path of robots one control step later, bent about the place beside which they are themselves.
 
     No robot observes how far ahead of the reference it is. If the path turned about the reference, a robot that is
     ahead would come to lie to the side of it.
 
-    Args:
-      path: of now.
-      motion: what they imitate.
-      time: control step of the motion that they are at, [B].
-      command: of the robots.
-      x: of their pelvis, in the path's frame, [B], m.
+    Arguments as those of `bend`, and `x` of their pelvis, in the path's frame, [B], m.
     """
-    now, ahead = (sample(motion, time + steps, command)[0] for steps in (0, 1))
     return bend(path, command, now, ahead, x - now[:, PELVIS_X])
 
 

@@ -5,10 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cassie_mjx.agents.types import Agent
+from cassie_mjx.agents.types import Agent, AgentState
 from cassie_mjx.evaluation.scheduler import LimitSearch, run, run_trials
 from cassie_mjx.evaluation.setup import LIMIT_PHASES, LONG_WALK_S, EvalSetup, SuiteResult
 from cassie_mjx.evaluation.trial import AFTER_PUSH_S, Metric, Push, Trial
+from cassie_mjx.physics.types import Physics
 
 PUSH_STEP_N, LARGEST_PUSH_N = 10, 400
 DIRECTIONS = {"forward": (1, 0), "backward": (-1, 0), "left": (0, 1), "right": (0, -1)}
@@ -38,17 +39,17 @@ FORCES: Mapping[str, _Kind] = {
 def push(agent: Agent, setup: EvalSetup) -> SuiteResult:
     """The largest push of 0.2 s in each direction, at the worst of eight phases and in the median; at most 400 N."""
     kind = _Kind(LARGEST_PUSH_N, PUSH_STEP_N, lambda x, y: (Push(x, y),))
-    return SuiteResult(push_metrics(_limits(kind, agent, setup), list(DIRECTIONS)))
+    limits = _limits(kind, agent, setup.physics(), setup.starts(agent, LIMIT_PHASES), setup)
+    return SuiteResult(push_metrics(limits, list(DIRECTIONS)))
 
 
 def forces(agent: Agent, setup: EvalSetup) -> SuiteResult:
     """Largest pushes of other durations, two pushes, steady forces of 10 s; and who bears random pushes for 60 s."""
-    metrics = []
+    metrics, physics, starts = [], setup.physics(), setup.starts(agent, LIMIT_PHASES)
     for name, kind in FORCES.items():
-        found = push_metrics(_limits(kind, agent, setup), list(DIRECTIONS))
+        found = push_metrics(_limits(kind, agent, physics, starts, setup), list(DIRECTIONS))
         metrics += [metric._replace(quantity=metric.quantity.replace("push", name, 1)) for metric in found]
-    starts = setup.starts(agent, LIMIT_PHASES)
-    result = run_trials(agent, setup.physics(), starts, random_pushes(), setup.progress)
+    result = run_trials(agent, physics, starts, random_pushes(), setup.progress)
     survived = Metric("push_random_survived_60s", float((~result.fell).mean()), "1", RANDOM_ROBOTS)
     return SuiteResult([*metrics, survived])
 
@@ -65,7 +66,7 @@ def random_pushes() -> list[Trial]:
     return trials
 
 
-def _limits(kind: _Kind, agent: Agent, setup: EvalSetup) -> np.ndarray:
+def _limits(kind: _Kind, agent: Agent, physics: Physics, starts: AgentState, setup: EvalSetup) -> np.ndarray:
     """The largest force survived with every smaller one, [direction, phase], N."""
     groups = [(direction, phase) for direction in DIRECTIONS.values() for phase in range(len(LIMIT_PHASES))]
 
@@ -74,9 +75,7 @@ def _limits(kind: _Kind, agent: Agent, setup: EvalSetup) -> np.ndarray:
         return pushed(phase, direction, kind.step_n * (level + 1), kind.pushes)
 
     search = LimitSearch(trial, len(groups), kind.largest_n // kind.step_n)
-    starts = setup.starts(agent, LIMIT_PHASES)
-    most = len(kind.pushes(0.0, 0.0))
-    run(agent, setup.physics(), starts, search, setup.num_envs, setup.progress, most)
+    run(agent, physics, starts, search, setup.num_envs, setup.progress, len(kind.pushes(0.0, 0.0)))
     return kind.step_n * search.limit.reshape(len(DIRECTIONS), -1)
 
 

@@ -68,14 +68,9 @@ def walking_metrics(result: EpisodeResult, suffix: str = "") -> list[Metric]:
 
 def terrain(agent: Agent, setup: EvalSetup) -> SuiteResult:
     """The largest h, at most 0.8 m, of the terrain z = h sin x that is survived from all of eight phases."""
-    levels = round(HIGHEST_TERRAIN_M / TERRAIN_STEP_M)
-
-    def hills(level: int) -> dict[str, Any]:
-        return {"terrain": Terrain("sine", TERRAIN_STEP_M * level)}
-
-    lasting = _Lasting("terrain_h_m", "m", TERRAIN_STEP_M, levels, hills)
+    limit = _terrain_limit("terrain_h_m", "sine", TERRAIN_STEP_M, HIGHEST_TERRAIN_M)
     starts = setup.starts(agent, LIMIT_PHASES)
-    return SuiteResult(_limits(lasting, agent, setup.physics("terrain"), starts, setup))
+    return SuiteResult(_limits(limit, agent, setup.physics("terrain"), starts, setup))
 
 
 def ground(agent: Agent, setup: EvalSetup) -> SuiteResult:
@@ -83,16 +78,10 @@ def ground(agent: Agent, setup: EvalSetup) -> SuiteResult:
 
     Slopes and steps are walked for 10 s, rough ground for 60 s.
     """
-    starts = setup.starts(agent, LIMIT_PHASES)
-    metrics = []
-    for each in GROUNDS:
-
-        def disturb(level: int, each: _GroundLimit = each) -> dict[str, Any]:
-            return {"terrain": Terrain(each.kind, each.step * level)}
-
-        limit = _Lasting(each.quantity, each.unit, abs(each.step), round(HIGHEST[each.kind] / abs(each.step)), disturb)
-        physics = setup.physics("rough" if each.kind == "rough" else "terrain")
-        metrics += _limits(limit, agent, physics, starts, setup, each.seconds)
+    starts, metrics = setup.starts(agent, LIMIT_PHASES), []
+    for scene, limits in GROUNDS.items():
+        physics = setup.physics(scene)
+        metrics += [metric for limit in limits for metric in _limits(limit, agent, physics, starts, setup)]
     return SuiteResult(metrics)
 
 
@@ -113,27 +102,6 @@ def delay(agent: Agent, setup: EvalSetup) -> SuiteResult:
     return SuiteResult(metrics + _limits(lasting, agent, physics, starts, setup))
 
 
-class _GroundLimit(NamedTuple):
-    """A limit of the suite `ground`."""
-
-    quantity: str
-    kind: str
-    """Of terrain."""
-    step: float
-    """From level to level, m or rad; downhill and to the right below 0."""
-    unit: str
-    seconds: float = WALK_S
-
-
-GROUNDS = (
-    _GroundLimit("slope_up_max_rad", "slope", 0.05, "rad"),
-    _GroundLimit("slope_down_max_rad", "slope", -0.05, "rad"),
-    _GroundLimit("slope_across_max_rad", "across", 0.05, "rad"),
-    _GroundLimit("steps_max_m", "steps", 0.01, "m"),
-    _GroundLimit("rough_max_m", "rough", 0.01, "m", LONG_WALK_S),
-)
-
-
 class _Lasting(NamedTuple):
     """A disturbance that lasts as long as the trial, at levels from 1 on."""
 
@@ -144,19 +112,36 @@ class _Lasting(NamedTuple):
     levels: int
     disturb: Callable[[int], dict[str, Any]]
     """What a trial at a level has."""
+    seconds: float | None = None
+    """Duration, s; those of the setup unless given."""
 
 
-def _limits(
-    lasting: _Lasting,
-    agent: Agent,
-    physics: Physics,
-    starts: AgentState,
-    setup: EvalSetup,
-    walk_s: float | None = None,
-) -> list[Metric]:
-    """The largest level survived, with every smaller one, from all starts, for `walk_s` or the setup's durations."""
+def _terrain_limit(quantity: str, kind: str, step: float, highest: float, seconds: float | None = None) -> _Lasting:
+    """Of a kind of terrain; with a step below 0, slopes go downhill or to the right."""
+    unit = "rad" if kind in ("slope", "across") else "m"
+
+    def disturb(level: int) -> dict[str, Any]:
+        return {"terrain": Terrain(kind, step * level)}
+
+    return _Lasting(quantity, unit, abs(step), round(highest / abs(step)), disturb, seconds)
+
+
+GROUNDS = {
+    "terrain": (
+        _terrain_limit("slope_up_max_rad", "slope", 0.05, HIGHEST["slope"], WALK_S),
+        _terrain_limit("slope_down_max_rad", "slope", -0.05, HIGHEST["slope"], WALK_S),
+        _terrain_limit("slope_across_max_rad", "across", 0.05, HIGHEST["across"], WALK_S),
+        _terrain_limit("steps_max_m", "steps", 0.01, HIGHEST["steps"], WALK_S),
+    ),
+    "rough": (_terrain_limit("rough_max_m", "rough", 0.01, HIGHEST["rough"], LONG_WALK_S),),
+}
+"""The limits of the suite `ground` by scene."""
+
+
+def _limits(lasting: _Lasting, agent: Agent, physics: Physics, starts: AgentState, setup: EvalSetup) -> list[Metric]:
+    """The largest level survived, with every smaller one, from all starts."""
     metrics, levels, groups = [], lasting.levels, len(starts.physics.step)
-    for seconds, suffix in setup.durations if walk_s is None else ((walk_s, ""),):
+    for seconds, suffix in setup.durations if lasting.seconds is None else ((lasting.seconds, ""),):
 
         def trial(start: int, level: int, seconds: float = seconds) -> Trial:
             return Trial(start, seconds, **lasting.disturb(level + 1))
