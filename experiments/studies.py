@@ -45,7 +45,8 @@ FORMER = {
     "walk.start_velocity_mps": "0.5",
     "walk.symmetric": "false",
 }
-"""The defaults until November 2026."""
+"""The defaults until November 2026. The runs drew starts evenly up to 0.5 m/s and did not move them back by what they
+gain, which no setting does now."""
 
 ACTOR, CRITIC = "ppo.actor_learning_rate", "ppo.critic_learning_rate"
 PAPER = {

@@ -15,10 +15,11 @@ from cassie_mjx.control.command import MotionState
 from cassie_mjx.control.law import second_step, target
 from cassie_mjx.control.observation import Seen
 from cassie_mjx.control.path import Path, into, out_of
-from cassie_mjx.envs import command, reward
+from cassie_mjx.envs import command, privileged, reward
 from cassie_mjx.envs.command import CommandRange
-from cassie_mjx.envs.config import CAPTURE_S, WalkConfig
+from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.scenario import draw_scenario, renew_scenario
+from cassie_mjx.envs.start import draw_offset
 from cassie_mjx.envs.termination import Ends, ends
 from cassie_mjx.envs.types import Start, StartOffset, StepOutcome, WalkState
 from cassie_mjx.motion.command import STRAIGHT, Command, Steering
@@ -28,16 +29,10 @@ from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
 from cassie_mjx.robot.ground import Ground, height_below
 from cassie_mjx.robot.model import steps_per_control
-from cassie_mjx.robot.rotation import turned
 
 # What the key of a step or reset is folded with for all but phases, which it draws as it is: `randint` splits it in
 # two, and folding with 0 or 1 would give those halves again.
 _SPEED_KEY, _SCENARIO_KEY, _VELOCITY_KEY, _COMMAND_KEY, _OFFSET_KEY, _NOISE_KEY, _FRESH_NOISE_KEY = range(2, 9)
-
-# Unit in which a critic observes how far a robot is ahead: half of what ends an episode, so of the order of 1.
-LEAD_M = 0.25
-# Units in which it sees what disturbs a robot.
-PUSH_N, DELAY_S, HEIGHT_M, SLOPE_RAD = 100.0, 0.01, 0.1, 0.2
 
 
 class WalkEnv:
@@ -174,14 +169,8 @@ class WalkEnv:
         """
         time = jax.random.randint(key, (robots,), 0, self.samples)
         told = command.draw_command(self.motion, jax.random.fold_in(key, _SPEED_KEY), robots, self.commands)
-        size_key, angle_key = jax.random.split(jax.random.fold_in(key, _VELOCITY_KEY))
-        size = self.config.start_velocity_mps * jnp.square(jax.random.uniform(size_key, (robots, 1)))
-        angle = jax.random.uniform(angle_key, (robots,), maxval=2 * jnp.pi)
-        velocity = size * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
-        limit = self.config.start_offset_m
-        y = jax.random.uniform(jax.random.fold_in(key, _OFFSET_KEY), (robots,), minval=-limit, maxval=limit)
-        # xi = x + v sqrt(h / g) stays where it was.
-        return time, told, StartOffset(velocity, jnp.stack([0 * y, y], axis=1) - CAPTURE_S * velocity)
+        velocity_key, place_key = (jax.random.fold_in(key, number) for number in (_VELOCITY_KEY, _OFFSET_KEY))
+        return time, told, draw_offset(self.config, velocity_key, place_key, robots)
 
     def _noise(self, key: jax.Array | None, robots: int) -> Array:
         """Noise on what one control step adds to the observation, [robots, F]."""
@@ -190,9 +179,17 @@ class WalkEnv:
             return 0.0
         return width * jax.random.uniform(key, (robots, len(width)), minval=-1.0)
 
-    def _seen(self, state: MotionState, qpos: jax.Array, qvel: jax.Array) -> Seen:
+    def _observe(
+        self, state: MotionState, sensing: jax.Array | None, qpos: jax.Array, qvel: jax.Array, key: jax.Array | None
+    ) -> tuple[jax.Array, jax.Array]:
+        """What the policy sees of robots at qpos [B, 35] and qvel [B, 32], [B, O], and what the observation carries on.
+
+        `sensing` is what it carries, None as an episode begins; without a key there is no noise.
+        """
         ahead = motions.reference(self.motion, state, ahead=1)
-        return Seen(*into(state.path, qpos, qvel), *ahead, state.command)
+        seen = Seen(*into(state.path, qpos, qvel), *ahead, state.command)
+        carry = self.law.init(seen) if sensing is None else sensing
+        return self.law.observe(carry, seen, self._noise(key, len(qpos)))
 
     def _start_states(
         self,
@@ -204,16 +201,13 @@ class WalkEnv:
     ) -> Start:
         state = command.start_motion(self.motion, time, told, scenario.ground)
         qpos, qvel = motions.reference(self.motion, state)
-        qpos = (
-            qpos.at[:, cassie.PELVIS_POSITION[:2]].add(offset.position).at[:, cassie.PELVIS_Z].add(scenario.ground.sine)
-        )
+        qpos = qpos.at[:, cassie.PELVIS_POSITION[:2]].add(offset.position)
+        qpos = qpos.at[:, cassie.PELVIS_Z].add(scenario.ground.sine)
         qvel = qvel.at[:, cassie.HORIZONTAL_VELOCITY].add(offset.velocity)
         qpos, qvel = out_of(state.path, qpos, qvel)
-        seen = self._seen(state, qpos, qvel)
         noise_key = None if key is None else jax.random.fold_in(key, _FRESH_NOISE_KEY)
-        observation, sensing = self.law.observe(self.law.init(seen), seen, self._noise(noise_key, len(time)))
-        privileged = self._privileged(state, scenario, offset.position[:, 0])
-        return Start(qpos, qvel, state, observation, sensing, privileged)
+        observation, sensing = self._observe(state, None, qpos, qvel, noise_key)
+        return Start(qpos, qvel, state, observation, sensing, self._privileged(state, scenario, offset.position[:, 0]))
 
     def _post_physics(
         self,
@@ -238,23 +232,18 @@ class WalkEnv:
         rewards, terms = self._rewards(walked, reference[0], nan)
         earned = rewards[self.config.reward]
         lead, aside = ((walked - reference[0])[:, axis] for axis in (cassie.PELVIS_X, cassie.PELVIS_Y))
-        # Where robots are steered, one must not do without the position's share of the reward to the side either.
-        away = lead if self.commands.steering == STRAIGHT else jnp.maximum(abs(lead), abs(aside))
-        causes = ends(
-            nan, walked[:, cassie.PELVIS_Z], earned, away, self.config.min_reward, self.config.max_position_error_m
-        )
+        causes = self._ends(nan, walked[:, cassie.PELVIS_Z], earned, lead, aside)
         terminated = jnp.stack(causes).any(axis=0)
         truncated = ~terminated & self._is_last(state)
         ended = terminated | truncated
-        privileged = self._privileged(state, scenario, lead)
+        known = self._privileged(state, scenario, lead)
         if self.config.leash_m is not None:
             state = motions.follow(state, lead, aside, self.config.leash_m)
         scenario = self._renew(scenario, state, ended, key)
         state = self._told(state, key)
         start = self._begin_anew(state, scenario, key)
-        seen = self._seen(state, sensed_qpos, sensed_qvel)
-        noise = self._noise(jax.random.fold_in(key, _NOISE_KEY), len(nan))
-        observation, sensing = self.law.observe(sensing, seen, noise)
+        noise_key = jax.random.fold_in(key, _NOISE_KEY)
+        observation, sensing = self._observe(state, sensing, sensed_qpos, sensed_qvel, noise_key)
         causes = {name: cause.astype(earned.dtype) for name, cause in causes._asdict().items()}
         return StepOutcome(
             start=start,
@@ -263,8 +252,8 @@ class WalkEnv:
             observation=merge(ended, start.observation, observation),
             final_observation=observation,
             sensing=merge(ended, start.sensing, sensing),
-            privileged=merge(ended, start.privileged, privileged),
-            final_privileged=privileged,
+            privileged=merge(ended, start.privileged, known),
+            final_privileged=known,
             reward=earned,
             terminated=terminated,
             truncated=truncated,
@@ -283,6 +272,12 @@ class WalkEnv:
         terms = {name: reward.terms(scale, walked, reference) for name, scale in reward.SCALES.items()}
         rewards = {name: jnp.where(nan, 0.0, reward.total(values)) for name, values in terms.items()}
         return rewards, terms[self.config.reward]
+
+    def _ends(self, nan: jax.Array, height: jax.Array, earned: jax.Array, lead: jax.Array, aside: jax.Array) -> Ends:
+        """Why episodes end of robots at a height, `lead` ahead of the reference and `aside` to its left, m, all [B]."""
+        # Where robots are steered, one must not do without the position's share of the reward to the side either.
+        away = lead if self.commands.steering == STRAIGHT else jnp.maximum(abs(lead), abs(aside))
+        return ends(nan, height, earned, away, self.config.min_reward, self.config.max_position_error_m)
 
     def _is_last(self, state: MotionState) -> jax.Array:
         """Whether this control step is the last of an episode: its time is up, or the motion has ended."""
@@ -319,19 +314,12 @@ class WalkEnv:
     def _privileged(self, state: MotionState, scenario: Scenario, lead: Array) -> jax.Array:
         """What a critic sees of robots that are `lead` [B], m, ahead of the reference motion, [B, P].
 
-        Where the task disturbs robots, it sees their scenarios too: the present push, the age of what is sensed and the
-        ground, all of the order of 1, and in a mirror where the policy sees one.
+        Where the task disturbs robots, it sees what disturbs them, in a mirror where the policy sees one.
         """
-        ahead = jnp.clip(jnp.asarray(lead, jnp.float32) / LEAD_M, -10, 10)[:, None]
+        ahead = privileged.ahead(lead)
         if not self.config.scenario.active:
             return ahead
-        scenario = jax.tree.map(jnp.asarray, scenario)
-        ground, side = scenario.ground, jnp.ones_like(ahead)
-        if self.law.symmetric:
-            side = jnp.where(second_step(motions.reference(self.motion, state)[0]), -1.0, 1.0)
-        force = scenario.force(state.step * self._substeps)[:, :2] / PUSH_N
-        force, slope = (turned(each, -state.path.heading) for each in (force, ground.slope / SLOPE_RAD))
-        late = scenario.delay[:, None] * self._timestep / DELAY_S
-        heights = jnp.stack([ground.sine, ground.steps, ground.rough], axis=1) / HEIGHT_M
-        along, aside = (each * jnp.concatenate([jnp.ones_like(side), side], axis=1) for each in (force, slope))
-        return jnp.concatenate([ahead, along, aside, late, heights], axis=1).astype(jnp.float32)
+        mirrored = second_step(motions.reference(self.motion, state)[0]) & self.law.symmetric
+        step = state.step * self._substeps
+        disturbed = privileged.disturbances(scenario, step, self._timestep, state.path.heading, mirrored)
+        return jnp.concatenate([ahead, disturbed], axis=1)

@@ -22,7 +22,7 @@ from cassie_mjx.physics.types import (
 )
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
-from cassie_mjx.robot.ground import Ground, set_terrain
+from cassie_mjx.robot.ground import Ground, scene_of, set_terrain
 from cassie_mjx.robot.model import servo_model
 
 
@@ -53,7 +53,7 @@ class NativePhysics:
         self.model = model
         self.max_delay = max_delay
         self._threads = threads or cores()
-        self._scene = "flat" if not model.nhfield else "terrain" if model.hfield_nrow[0] == 2 else "rough"
+        self._scene = scene_of(model)
         self._models: dict[tuple[float, ...], mujoco.MjModel] = {}
         self._batches: dict[int, _Pool] = {}
         self._kinematics: dict[int, _Kinematics] = {}

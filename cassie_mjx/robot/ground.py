@@ -155,6 +155,13 @@ def _draw_waves() -> np.ndarray:
 _WAVES = _draw_waves()
 
 
+def scene_of(model: mujoco.MjModel) -> str:
+    """Which of `SCENES` a model of MuJoCo C is of: the field of a terrain scene has two rows."""
+    if not model.nhfield:
+        return "flat"
+    return "terrain" if model.hfield_nrow[0] == 2 else "rough"
+
+
 def set_terrain(model: mujoco.MjModel, ground: Ground) -> None:
     """Write a ground into a scene's height field, in place.
 
@@ -166,7 +173,7 @@ def set_terrain(model: mujoco.MjModel, ground: Ground) -> None:
       ValueError: the ground is rough, and the field has only two rows.
     """
     rows, columns = model.hfield_nrow[0], model.hfield_ncol[0]
-    if ground.rough and rows == 2:
+    if ground.rough and scene_of(model) != "rough":
         raise ValueError(f"Ground with rough={ground.rough:g} needs the model with scene='rough'.")
     half_x, half_y = model.hfield_size[0, :2]
     floor = model.geom("floor").id

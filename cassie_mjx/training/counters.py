@@ -4,6 +4,8 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from cassie_mjx.ppo.types import UpdateMetrics
+
 NOT_MEASURED = -1.0
 
 
@@ -34,6 +36,11 @@ class IntervalStats:
     """Episodes that ended by each of `termination.Ends`."""
     seconds: dict[str, float] = field(default_factory=dict)
     """Time by the part of the program it was spent in, s."""
+
+
+def episode_steps(update: UpdateMetrics, longest: int) -> float:
+    """Mean length of an episode, control steps per end; the longest there is if none ended."""
+    return 1 / max(float(update.terminated + update.truncated), 1 / longest)
 
 
 def to_record(counters: Counters, interval: IntervalStats) -> dict[str, Any]:

@@ -159,7 +159,9 @@ class Runner:
         if metrics.ends["nan"] and not self.diagnosed:
             self._diagnose(before)
         rate = self.config.ppo.num_samples / elapsed
-        self.terminal.advance(float(metrics.update.reward), self._episode_steps(metrics), rate)
+        self.terminal.advance(
+            float(metrics.update.reward), counters.episode_steps(metrics.update, self.config.walk.episode_steps), rate
+        )
         if schedule.saves(self.config, self.done):
             if devices.is_first():
                 self._write(metrics)
@@ -242,11 +244,10 @@ class Runner:
         if returns[goal] > getattr(counters, goal) or walk.scenario.active:
             counters.return_plain, counters.return_weighted = returns["return_plain"], returns["return_weighted"]
             names.append("best")
-        factor, _ = speed_factors(self.config.speed)
-        followed = limits(self.motion, self.trainer.env.commands)
+        factor, followed = speed_factors(self.config.speed)[0], limits(self.motion, self.trainer.env.commands)
+        saved = policy, self.motion, factor, walk.kd_scale, origin, self.law, followed
         for name in names:
-            path = self.folder / f"{name}.npz"
-            save_policy(path, policy, self.motion, factor, walk.kd_scale, origin, self.law, followed)
+            save_policy(self.folder / f"{name}.npz", *saved)
 
     def _values(self, metrics: IterationMetrics, returns: dict[str, float], eval_s: float) -> dict[str, float]:
         """One line of metrics; counts, rates and shares of the time are those since the last line."""
@@ -255,7 +256,7 @@ class Runner:
         return {
             "train/iteration": self.done,
             "train/samples": self.samples,
-            "train/episode_steps": self._episode_steps(metrics),
+            "train/episode_steps": counters.episode_steps(metrics.update, self.config.walk.episode_steps),
             "train/clipped_share": float(metrics.clipped.max()),
             **{f"train/{name}": count for name, count in interval.ends.items()},
             "time/train_s": self.counters.train_s,
@@ -265,11 +266,6 @@ class Runner:
             **{f"eval/{name}": value for name, value in returns.items()},
             **{f"learner/{name}": float(value) for name, value in metrics.update._asdict().items()},
         }
-
-    def _episode_steps(self, metrics: IterationMetrics) -> float:
-        """Mean length of an episode, control steps per end; the longest there is if none ended."""
-        ended = float(metrics.update.terminated + metrics.update.truncated)
-        return 1 / max(ended, 1 / self.config.walk.episode_steps)
 
     def _save(self) -> None:
         self.interval.seconds = self.trainer.timer.seconds

@@ -1,0 +1,40 @@
+"""What a critic may see that no robot senses."""
+
+import jax
+import jax.numpy as jnp
+
+from cassie_mjx.physics.types import Scenario
+from cassie_mjx.robot.arrays import Array
+from cassie_mjx.robot.rotation import turned
+
+LEAD_M = 0.25
+"""Unit of how far a robot is ahead: half of what ends an episode, so of the order of 1."""
+PUSH_N, DELAY_S, HEIGHT_M, SLOPE_RAD = 100.0, 0.01, 0.1, 0.2
+"""Units of what disturbs a robot."""
+
+
+def ahead(lead: Array) -> jax.Array:
+    """How far robots are ahead of the reference motion, `lead` [B], m, as a critic sees it, [B, 1], within +-10."""
+    return jnp.clip(jnp.asarray(lead, jnp.float32) / LEAD_M, -10, 10)[:, None]
+
+
+def disturbances(scenario: Scenario, step: Array, timestep: float, heading: Array, mirrored: Array) -> jax.Array:
+    """What disturbs robots: the present push and the slope along the path, the age of what is sensed, heights, [B, 8].
+
+    All are of the order of 1.
+
+    Args:
+      scenario: of the robots.
+      step: physics steps since the start of the episode, [B].
+      timestep: of the physics, s.
+      heading: of the path, [B], rad.
+      mirrored: whether the policy sees them in a mirror, [B, 1], bool.
+    """
+    scenario = jax.tree.map(jnp.asarray, scenario)
+    ground, side = scenario.ground, jnp.where(mirrored, -1.0, 1.0)
+    force, slope = scenario.force(step)[:, :2] / PUSH_N, ground.slope / SLOPE_RAD
+    aside = jnp.concatenate([jnp.ones_like(side), side], axis=1)
+    along = [turned(each, -heading) * aside for each in (force, slope)]
+    late = scenario.delay[:, None] * timestep / DELAY_S
+    heights = jnp.stack([ground.sine, ground.steps, ground.rough], axis=1) / HEIGHT_M
+    return jnp.concatenate([*along, late, heights], axis=1).astype(jnp.float32)
