@@ -119,6 +119,10 @@ def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
       ValueError: it was trained with other settings than the variant's, in whatever point, or is not finished.
     """
     held = check(folder, variant, seed)
+    # Where the runs lie on one machine tells no other one anything.
+    here, runs = str(folder.parent.resolve()), str(folder.parent)
+    said = held["provenance"].items()
+    held["provenance"] = {key: value.replace(here, runs) if isinstance(value, str) else value for key, value in said}
     lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     lines = [line for line in lines if COLUMNS["steps"] in line]
     curve = {name: [_rounded(line[key]) for line in lines] for name, key in COLUMNS.items() if key in lines[0]}

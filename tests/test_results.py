@@ -264,6 +264,11 @@ def test_bounds_on_the_page_hold_and_are_close(pattern, measured):
     assert 0.99 * measured <= float(found[1]) <= 1.1 * measured
 
 
+def test_no_result_names_a_folder_of_one_machine():
+    named = {path.name for path in (ROOT / "experiments/results").rglob("*.json") if "=/" in path.read_text()}
+    assert not named
+
+
 def test_the_guide_names_the_study_of_the_robust_policy():
     text = (ROOT / "docs" / "train.md").read_text()
     (study,) = set(re.findall(r"experiments\.learning study=(\w+)", text))
