@@ -119,10 +119,6 @@ def read(folder: Path, variant: Variant, seed: int) -> dict[str, Any]:
       ValueError: it was trained with other settings than the variant's, in whatever point, or is not finished.
     """
     held = check(folder, variant, seed)
-    # Where the runs lie on one machine tells no other one anything.
-    here, runs = str(folder.parent.resolve()), str(folder.parent)
-    said = held["provenance"].items()
-    held["provenance"] = {key: value.replace(here, runs) if isinstance(value, str) else value for key, value in said}
     lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     lines = [line for line in lines if COLUMNS["steps"] in line]
     curve = {name: [_rounded(line[key]) for line in lines] for name, key in COLUMNS.items() if key in lines[0]}
@@ -204,7 +200,9 @@ def main(config: LearningConfig) -> None:
         for seed in variant.seeds:
             folder = Path(config.runs) / f"{variant.name}-seed{seed}"
             train(folder, variant, seed)
-            runs.append(read(folder, variant, seed))
+            # Where the runs lie on one machine tells no other one anything.
+            text = json.dumps(read(folder, variant, seed)).replace(str(Path(config.runs).resolve()), config.runs)
+            runs.append(json.loads(text))
         rows += summarize(variant, runs[-len(variant.seeds) :])
     console.print(table(config.study, rows))
     commits = sorted({run["provenance"]["commit"] for run in runs})
