@@ -8,7 +8,7 @@ import numpy as np
 
 from cassie_mjx.motion.command import Command
 from cassie_mjx.motion.reference import ReferenceMotion
-from cassie_mjx.physics.types import BodyState, Physics, PhysicsState, Scenario, delayed
+from cassie_mjx.physics.types import BodyState, Physics, PhysicsState, Scenario, sensed
 from cassie_mjx.robot.arrays import Array
 
 Carry: TypeAlias = Any
@@ -92,7 +92,7 @@ class Agent(Protocol):
 
 
 def sense(agent: Agent, physics: Physics, state: PhysicsState, scenario: Scenario) -> Sensed:
-    """What the agent is given of robots in `state`: as old as the scenario's delay has it."""
-    qpos, qvel = delayed(state, scenario)
+    """What the agent is given of robots in `state`: as it is sensed in their scenario."""
+    qpos, qvel = sensed(state, scenario)
     bodies = physics.bodies(replace(state, qpos=qpos, qvel=qvel)) if agent.needs_bodies else None
     return Sensed(qpos, qvel, bodies)

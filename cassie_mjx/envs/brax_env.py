@@ -61,10 +61,10 @@ class CassieEnv(PipelineEnv):
         Raises:
           ValueError: the task draws scenarios; Brax hands a step no key to draw them with.
         """
-        if config is not None and config.scenario.active:
+        if config is not None and config.draws:
             raise ValueError(
-                f"scenario={config.scenario} is not for CassieEnv, for Brax hands a step no random key; "
-                "train with cassie_mjx.train, or without scenarios."
+                f"scenario={config.scenario} and dynamics={config.dynamics} are not for CassieEnv, for Brax hands a "
+                "step no random key; train with cassie_mjx.train, or without scenarios."
             )
         # Brax asks for a system of its own; it serves for rendering and sizes, not for stepping.
         scene = mujoco.MjModel.from_xml_path(str(xml_path("flat")))

@@ -8,6 +8,7 @@ from cassie_mjx.configuration.values import Checked, Range
 from cassie_mjx.control.law import ControlLaw
 from cassie_mjx.control.observation import OBSERVATIONS
 from cassie_mjx.envs import reward
+from cassie_mjx.envs.dynamics import RANGES, DynamicsRange
 from cassie_mjx.envs.scenario import ScenarioConfig
 from cassie_mjx.motion.reference import ReferenceMotion, steps_mirror
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
@@ -24,6 +25,7 @@ class WalkConfig(Checked):
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {
         "reward": tuple(reward.SCALES),
         "observation": tuple(OBSERVATIONS),
+        "dynamics": ("none", *RANGES),
     }
 
     reward: str = "weighted"
@@ -61,6 +63,9 @@ class WalkConfig(Checked):
     the second step of the reference motion is the mirror image of its first."""
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     """What robots are put through besides walking."""
+    dynamics: str = "none"
+    """How far robots differ from the model in mass, friction, damping, springs, motors, gains and encoders, and the
+    ground from level: "none", "moderate" or "wide". Each episode draws all of it anew."""
 
     def __post_init__(self) -> None:
         """Check every value, and that no episode ends as it begins."""
@@ -72,6 +77,27 @@ class WalkConfig(Checked):
                 f"reference, where max_position_error_m={limit:g} ends their episode; "
                 f"it must be less than {limit / CAPTURE_S:.3g}."
             )
+
+    @property
+    def span(self) -> DynamicsRange | None:
+        """The range that dynamics are drawn from, if they are."""
+        return RANGES.get(self.dynamics)
+
+    @property
+    def draws(self) -> bool:
+        """Whether scenarios are drawn."""
+        return self.scenario.active or self.span is not None
+
+    @property
+    def scene(self) -> str:
+        """The least scene that has the ground of all scenarios; a slope is a part of dynamics."""
+        flat = self.scenario.scene == "flat"
+        return "terrain" if flat and self.span else self.scenario.scene
+
+    def delay_steps(self, physics_hz: float) -> int:
+        """Longest delay of a scenario, physics steps."""
+        torque = self.span.delay_steps(physics_hz) if self.span else 0
+        return max(self.scenario.delay_steps(physics_hz), torque)
 
     def law(self, motion: ReferenceMotion) -> ControlLaw:
         """The law of a policy that imitates `motion`.

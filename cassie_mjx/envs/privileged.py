@@ -4,13 +4,17 @@ import jax
 import jax.numpy as jnp
 
 from cassie_mjx.physics.types import Scenario
+from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
+from cassie_mjx.robot.dynamics import Dynamics, encoded
 from cassie_mjx.robot.rotation import turned
 
 LEAD_M = 0.25
 """Unit of how far a robot is ahead: half of what ends an episode, so of the order of 1."""
 PUSH_N, DELAY_S, HEIGHT_M, SLOPE_RAD = 100.0, 0.01, 0.1, 0.2
 """Units of what disturbs a robot."""
+COM_M, OFFSET_RAD, TORQUE_DELAY_S = 0.05, 0.02, 0.005
+"""Units of what a robot is like."""
 
 
 def ahead(lead: Array) -> jax.Array:
@@ -38,3 +42,25 @@ def disturbances(scenario: Scenario, step: Array, timestep: float, heading: Arra
     late = scenario.delay[:, None] * timestep / DELAY_S
     heights = jnp.stack([ground.sine, ground.steps, ground.rough], axis=1) / HEIGHT_M
     return jnp.concatenate([*along, late, heights], axis=1).astype(jnp.float32)
+
+
+def dynamics(of_robots: Dynamics, share: Array, timestep: float, mirrored: Array) -> jax.Array:
+    """What robots are like, [B, 25], of the order of 1 and 0 for one that is as the model has it.
+
+    Mass of the whole, friction, damping, springs, strength, P and D gains; the pelvis' centre of mass; how late torques
+    are; what encoders are off by.
+
+    Args:
+      of_robots: their dynamics.
+      share: of the bodies in the mass of the whole, [26].
+      timestep: of the physics, s.
+      mirrored: whether the policy sees them in a mirror, [B, 1], bool.
+    """
+    d = jax.tree.map(jnp.asarray, of_robots)
+    offset = encoded(jnp.zeros((len(mirrored), cassie.NQ)), d)
+    offset = jnp.where(mirrored, cassie.mirror_qpos(offset), offset)[:, cassie.ENCODER_QPOS]
+    com = jnp.where(mirrored, d.com * jnp.array([1, -1, 1]), d.com)
+    factors = [d.mass @ share, d.friction, d.damping, d.stiffness, d.strength, d.p_gain, d.d_gain]
+    late = d.torque_delay[:, None] * timestep / TORQUE_DELAY_S
+    seen = [jnp.stack(factors, axis=1) - 1, com / COM_M, late, offset / OFFSET_RAD]
+    return jnp.concatenate(seen, axis=1).astype(jnp.float32)

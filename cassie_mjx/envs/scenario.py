@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from cassie_mjx.configuration.values import Checked, Range
+from cassie_mjx.envs.dynamics import DynamicsRange, vary
 from cassie_mjx.physics.types import Scenario, merge
 from cassie_mjx.robot.arrays import Array
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
@@ -21,6 +22,8 @@ LEVELS = 8
 """Levels above 0 that terrain is drawn from, evenly spaced: MuJoCo C compiles a model for each."""
 TRAINING_SEEDS = 4
 """Rough grounds that robots are trained on, of `ROUGH_SEEDS`."""
+# What the key of a scenario is folded with for the dynamics; up to 4 it would give the others' keys again.
+_DYNAMICS_KEY = 5
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,12 @@ class ScenarioConfig(Checked):
 
 
 def draw_scenario(
-    config: ScenarioConfig, key: jax.Array, robots: int, physics_hz: float, kd_scale: float = 1.0
+    config: ScenarioConfig,
+    key: jax.Array,
+    robots: int,
+    physics_hz: float,
+    kd_scale: float = 1.0,
+    dynamics: DynamicsRange | None = None,
 ) -> Scenario:
     """Scenarios of whole episodes, up to the end of their first push.
 
@@ -80,6 +88,7 @@ def draw_scenario(
       robots: B.
       physics_hz: physics steps a second.
       kd_scale: factor on the D gains of all robots.
+      dynamics: how far robots differ from the model; None for not at all.
     """
     force_key, direction_key, pause_key, terrain_key, delay_key = jax.random.split(key, 5)
     force = jax.random.uniform(force_key, (robots, 1), maxval=config.push_n)
@@ -89,7 +98,7 @@ def draw_scenario(
     # A push starts with a control step: within one, it would cut the physics' calls of all robots in two.
     longest = math.ceil(config.push_pause_s / CONTROL_PERIOD_S)
     start = jax.random.randint(pause_key, (robots, 1), 0, longest + 1) * steps_per_control(physics_hz)
-    return Scenario(
+    scenario = Scenario(
         push=(force * jnp.stack([forward, left, jnp.zeros(robots)], axis=1))[:, None],
         push_start=start,
         push_stop=start + round(PUSH_S * physics_hz),
@@ -97,6 +106,9 @@ def draw_scenario(
         ground=_draw_ground(config, terrain_key, robots),
         kd_scale=jnp.full(robots, kd_scale),
     )
+    if dynamics is None:
+        return scenario
+    return vary(scenario, dynamics, jax.random.fold_in(key, _DYNAMICS_KEY), physics_hz)
 
 
 def _draw_ground(config: ScenarioConfig, key: jax.Array, robots: int) -> Ground:
@@ -119,7 +131,13 @@ def _draw_ground(config: ScenarioConfig, key: jax.Array, robots: int) -> Ground:
 
 
 def renew_scenario(
-    config: ScenarioConfig, key: jax.Array, present: Scenario, step: Array, ended: Array, physics_hz: float
+    config: ScenarioConfig,
+    key: jax.Array,
+    present: Scenario,
+    step: Array,
+    ended: Array,
+    physics_hz: float,
+    dynamics: DynamicsRange | None = None,
 ) -> Scenario:
     """What acts from the next control step on: a new push where the last is over, all anew where the episode is.
 
@@ -130,8 +148,9 @@ def renew_scenario(
       step: physics steps since the start of the episode, [B].
       ended: robots that start a new episode, [B], bool.
       physics_hz: physics steps a second.
+      dynamics: as `draw_scenario` has it.
     """
-    fresh = draw_scenario(config, key, len(step), physics_hz)
+    fresh = draw_scenario(config, key, len(step), physics_hz, dynamics=dynamics)
     fresh = replace(fresh, kd_scale=present.kd_scale)
     now = step[:, None]
     pushed_again = replace(present, push=fresh.push, push_start=now + fresh.push_start, push_stop=now + fresh.push_stop)

@@ -24,9 +24,10 @@ from cassie_mjx.envs.termination import Ends, ends
 from cassie_mjx.envs.types import Start, StartOffset, StepOutcome, WalkState
 from cassie_mjx.motion.command import STRAIGHT, Command, Steering
 from cassie_mjx.motion.reference import ReferenceMotion
-from cassie_mjx.physics.types import Physics, Scenario, delayed, merge, to_backend
+from cassie_mjx.physics.types import Physics, Scenario, merge, sensed, to_backend
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
+from cassie_mjx.robot.dynamics import encoded
 from cassie_mjx.robot.ground import Ground, height_below
 from cassie_mjx.robot.model import steps_per_control
 
@@ -72,11 +73,11 @@ class WalkEnv:
         self._physics_hz = round(1 / physics.model.opt.timestep)
         self._substeps = steps_per_control(self._physics_hz)
         self._timestep = physics.model.opt.timestep
-        longest = config.scenario.delay_steps(self._physics_hz)
+        longest = config.delay_steps(self._physics_hz)
         if longest > physics.max_delay:
             raise ValueError(
-                f"delay_s={config.scenario.delay_s:g} is {longest} physics steps; "
-                f"this engine was made for 0 to {physics.max_delay}."
+                f"scenario.delay_s={config.scenario.delay_s:g} with dynamics={config.dynamics} is up to {longest} "
+                f"physics steps; this engine was made for 0 to {physics.max_delay}."
             )
         self._target = jax.jit(self._pd_target)
         self._outcome = jax.jit(self._post_physics)
@@ -86,10 +87,11 @@ class WalkEnv:
         """Robots near the reference motion: phase, command, offset from it and scenario are drawn at random."""
         time, told, offset = self._draw(key, self.robots)
         scenario = Scenario.nominal(self.robots, kd_scale=np.asarray(self.config.kd_scale))
-        if self.config.scenario.active:
+        if self.config.draws:
             scenario_key = jax.random.fold_in(key, _SCENARIO_KEY)
+            config = self.config
             scenario = draw_scenario(
-                self.config.scenario, scenario_key, self.robots, self._physics_hz, self.config.kd_scale
+                config.scenario, scenario_key, self.robots, self._physics_hz, config.kd_scale, config.span
             )
         return self.reset_at(time, scenario, told, offset, key)
 
@@ -147,14 +149,14 @@ class WalkEnv:
         """
         held = to_backend(state.physics, self._target(state.motion, action))
         physics = self.physics.advance(state.physics, held, state.scenario, self._substeps)
-        sensed = delayed(physics, state.scenario)
-        outcome = self._outcome(state.motion, state.sensing, state.scenario, physics.qpos, physics.qvel, *sensed, key)
+        seen = sensed(physics, state.scenario)
+        outcome = self._outcome(state.motion, state.sensing, state.scenario, physics.qpos, physics.qvel, *seen, key)
         fresh = self.physics.init(outcome.start.qpos, outcome.start.qvel)
         ended = outcome.terminated | outcome.truncated
         given: dict[str, Any] = outcome._asdict()
         given.pop("start")
         # What is not drawn keeps its precision, which it would lose in the compiled part.
-        scenario = given["scenario"] if self.config.scenario.active else state.scenario
+        scenario = given["scenario"] if self.config.draws else state.scenario
         given["scenario"] = to_backend(physics, scenario)
         return WalkState(physics=merge(to_backend(physics, ended), fresh, physics), **given)
 
@@ -206,7 +208,7 @@ class WalkEnv:
         qvel = qvel.at[:, cassie.HORIZONTAL_VELOCITY].add(offset.velocity)
         qpos, qvel = out_of(state.path, qpos, qvel)
         noise_key = None if key is None else jax.random.fold_in(key, _FRESH_NOISE_KEY)
-        observation, sensing = self._observe(state, None, qpos, qvel, noise_key)
+        observation, sensing = self._observe(state, None, encoded(qpos, scenario.dynamics), qvel, noise_key)
         return Start(qpos, qvel, state, observation, sensing, self._privileged(state, scenario, offset.position[:, 0]))
 
     def _post_physics(
@@ -285,11 +287,11 @@ class WalkEnv:
         return timed_out if self.motion.periodic else timed_out | (state.time >= self.samples - 1)
 
     def _renew(self, scenario: Scenario, state: MotionState, ended: jax.Array, key: jax.Array) -> Scenario:
-        config = self.config.scenario
-        if not config.active:
+        config = self.config
+        if not config.draws:
             return scenario
-        scenario_key = jax.random.fold_in(key, _SCENARIO_KEY)
-        return renew_scenario(config, scenario_key, scenario, state.step * self._substeps, ended, self._physics_hz)
+        scenario_key, step = jax.random.fold_in(key, _SCENARIO_KEY), state.step * self._substeps
+        return renew_scenario(config.scenario, scenario_key, scenario, step, ended, self._physics_hz, config.span)
 
     def _told(self, state: MotionState, key: jax.Array) -> MotionState:
         """The same moment, with the command on its way to a target that may be a new one."""
@@ -314,12 +316,16 @@ class WalkEnv:
     def _privileged(self, state: MotionState, scenario: Scenario, lead: Array) -> jax.Array:
         """What a critic sees of robots that are `lead` [B], m, ahead of the reference motion, [B, P].
 
-        Where the task disturbs robots, it sees what disturbs them, in a mirror where the policy sees one.
+        Where the task disturbs robots, it sees what disturbs them, and what they are like where robots differ, in a
+        mirror where the policy sees one.
         """
         ahead = privileged.ahead(lead)
-        if not self.config.scenario.active:
+        if not self.config.draws:
             return ahead
         mirrored = second_step(motions.reference(self.motion, state)[0]) & self.law.symmetric
         step = state.step * self._substeps
-        disturbed = privileged.disturbances(scenario, step, self._timestep, state.path.heading, mirrored)
-        return jnp.concatenate([ahead, disturbed], axis=1)
+        seen = [ahead, privileged.disturbances(scenario, step, self._timestep, state.path.heading, mirrored)]
+        if scenario.dynamics is not None:
+            share = self.physics.model.body_mass / self.physics.model.body_mass.sum()
+            seen.append(privileged.dynamics(scenario.dynamics, share, self._timestep, mirrored))
+        return jnp.concatenate(seen, axis=1)

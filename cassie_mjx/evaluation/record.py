@@ -8,7 +8,7 @@ import numpy as np
 
 from cassie_mjx.envs.termination import has_fallen, height_over_ground
 from cassie_mjx.evaluation.trial import EpisodeResult, Trial
-from cassie_mjx.physics.types import PhysicsState, Scenario, delayed, merge
+from cassie_mjx.physics.types import PhysicsState, Scenario, merge, motor_torque
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array, namespace
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_POSITION, PELVIS_X
@@ -120,8 +120,6 @@ def motor_effort(state: PhysicsState, target: Array, scenario: Scenario) -> Arra
     Returns:
       Mean over motors of |torque|, N·m, and sum over motors of max(torque x velocity, 0), W.
     """
-    qpos, qvel = delayed(state, scenario)
-    q, qdot = qpos[:, cassie.ACTIVE_QPOS], qvel[:, cassie.ACTIVE_QVEL]
-    torque = cassie.pd_torque(target, q, qdot, scenario.kd_scale[:, None])
+    torque = motor_torque(state, target, scenario)
     power = (torque * state.qvel[:, cassie.ACTIVE_QVEL]).clip(0)
     return namespace(state.qpos).stack([abs(torque).mean(axis=1), power.sum(axis=1)], axis=1)

@@ -5,6 +5,7 @@ next trial at once, so no time goes into robots on the ground.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from operator import itemgetter
 from typing import Any, Protocol, TypeAlias
 
@@ -16,7 +17,7 @@ from cassie_mjx.evaluation import simulate
 from cassie_mjx.evaluation.record import TrialRecord
 from cassie_mjx.evaluation.simulate import Simulation
 from cassie_mjx.evaluation.trial import EpisodeResult, Trial, placed, scenario_of, take
-from cassie_mjx.physics.types import Physics
+from cassie_mjx.physics.types import Physics, Scenario
 from cassie_mjx.robot.arrays import Array
 
 SMALLEST_BATCH = 8
@@ -52,6 +53,7 @@ def run(
     num_envs: int = 64,
     progress: Progress | None = None,
     pushes: int = 1,
+    varied: bool = False,
 ) -> None:
     """Run trials, `num_envs` at a time, until there are no more; results go to `trials.ended`.
 
@@ -63,12 +65,13 @@ def run(
       num_envs: robots side by side. On MuJoCo C the batch is halved when half of them have nothing to do.
       progress: called with how far it is.
       pushes: the most that a trial has.
+      varied: whether a trial has a robot that differs from the model.
 
     Raises:
       ValueError: the agent's period does not divide the control step into whole physics steps, or a trial has a longer
         delay than the engine is made for.
     """
-    batch, over = _Batch(agent, physics, starts, num_envs, pushes), 0
+    batch, over = _Batch(agent, physics, starts, num_envs, partial(scenario_of, pushes=pushes, varied=varied)), 0
     while batch.fill(trials):
         batch.advance()
         over += batch.hand_in(trials)
@@ -90,7 +93,8 @@ def run_trials(
     """
     listed = _Listed(trials)
     pushes = max((len(trial.pushes) for trial in trials), default=0)
-    run(agent, physics, starts, listed, min(num_envs or len(trials), len(trials)), progress, max(pushes, 1))
+    varied = any(trial.dynamics is not None for trial in trials)
+    run(agent, physics, starts, listed, min(num_envs or len(trials), len(trials)), progress, max(pushes, 1), varied)
     return jax.tree.map(lambda *values: np.array(values), *(listed.results[i,] for i in range(len(trials))))
 
 
@@ -158,15 +162,17 @@ class _Listed:
 class _Batch:
     """The places of `run`: their simulation, and the job (key, trial) of each; a free place has none."""
 
-    def __init__(self, agent: Agent, physics: Physics, starts: AgentState, num_envs: int, pushes: int) -> None:
-        self.agent, self.physics, self.starts, self.pushes = agent, physics, starts, pushes
+    def __init__(
+        self, agent: Agent, physics: Physics, starts: AgentState, num_envs: int, scenario: Callable[..., Scenario]
+    ) -> None:
+        self.agent, self.physics, self.starts, self.scenario_of = agent, physics, starts, scenario
         self.jobs: list[tuple[Key, Trial] | None] = [None] * num_envs
         self.simulation = self._begin([_IDLE] * num_envs)
 
     def _begin(self, trials: list[Trial]) -> Simulation:
         robots = placed(self.agent, self.starts, trials)
         hertz = 1 / self.physics.model.opt.timestep
-        scenario = scenario_of(self.agent, trials, robots.physics, hertz, self.pushes)
+        scenario = self.scenario_of(self.agent, trials, robots.physics, hertz)
         simulate.check_agent(self.agent, self.physics, scenario)
         return Simulation(robots, scenario, TrialRecord.begin(robots.physics.qpos, trials))
 

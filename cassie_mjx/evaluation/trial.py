@@ -12,6 +12,7 @@ from cassie_mjx.agents.types import Agent, AgentState
 from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.physics.types import PhysicsState, Scenario
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_POSITION, PELVIS_QUATERNION
+from cassie_mjx.robot.dynamics import Dynamics
 from cassie_mjx.robot.ground import FLAT, START_X_M, Ground, Terrain
 from cassie_mjx.robot.rotation import yaw
 
@@ -55,6 +56,10 @@ class Trial:
     """What it walks on; the robot starts on a crest of hills, and a metre before anything else begins."""
     delay: int = 0
     """Age of the state that agent and PD loop sense, physics steps."""
+    slope: tuple[float, float] = (0.0, 0.0)
+    """How much steeper the ground is along x and along y, rad."""
+    dynamics: Dynamics | None = None
+    """How the robot differs from the model, its fields without the axis B; None for not at all."""
 
     @property
     def control_steps(self) -> int:
@@ -94,7 +99,15 @@ class NeverSteady(ValueError):
     """An agent falls before it walks steadily, which is where trials start."""
 
 
-def scenario_of(agent: Agent, trials: Sequence[Trial], state: PhysicsState, hertz: float, pushes: int = 1) -> Scenario:
+def ground_of(trials: Sequence[Trial]) -> Ground:
+    """What the trials are walked on, [B]."""
+    ground = Ground.of([trial.terrain for trial in trials])
+    return replace(ground, slope=ground.slope + np.array([trial.slope for trial in trials]))
+
+
+def scenario_of(
+    agent: Agent, trials: Sequence[Trial], state: PhysicsState, hertz: float, pushes: int = 1, varied: bool = False
+) -> Scenario:
     """What the trials do to robots that start them in `state`, [B].
 
     Args:
@@ -103,6 +116,7 @@ def scenario_of(agent: Agent, trials: Sequence[Trial], state: PhysicsState, hert
       state: theirs, as the trials start.
       hertz: physics steps a second.
       pushes: the most that a trial has.
+      varied: whether robots may differ from the model.
 
     Raises:
       ValueError: a trial has more pushes.
@@ -124,14 +138,15 @@ def scenario_of(agent: Agent, trials: Sequence[Trial], state: PhysicsState, hert
         push_start=start,
         push_stop=start + np.rint(seconds * hertz).astype(np.int32),
         delay=np.array([trial.delay for trial in trials], np.int32),
-        ground=Ground.of([trial.terrain for trial in trials]),
+        ground=ground_of(trials),
+        dynamics=Dynamics.of([trial.dynamics for trial in trials]) if varied else None,
         kd_scale=np.asarray(agent.kd_scale),
     )
 
 
 def placed(agent: Agent, starts: AgentState, trials: Sequence[Trial]) -> AgentState:
     """The robots as which the trials start, [B]; those on terrain are carried to where it starts."""
-    ground = Ground.of([trial.terrain for trial in trials])
+    ground = ground_of(trials)
     offset = np.stack([START_X_M * ground.uneven, np.zeros(len(trials)), ground.sine], axis=1)
     return moved(agent, take(starts, np.array([trial.start for trial in trials])), offset)
 

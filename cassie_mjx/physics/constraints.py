@@ -56,6 +56,24 @@ class Constraints:
         parts = [self._loops(m, d, motion), self._limits(m, d), *self._contacts(m, d, motion)]
         return Rows(*(jnp.concatenate(part) for part in zip(*parts, strict=True)))
 
+    def inverse_weights(self, m: Array, d: Array) -> dict[str, jax.Array]:
+        """The inverse masses that rows are softened by, fields of a model that MuJoCo C derives as it compiles one.
+
+        They are those of hinges, and of bodies along straight lines, at `qpos0`; no row asks for others.
+
+        Args:
+          m: the model, whose own inverse masses may be another's.
+          d: data of it.
+        """
+        d = self._tree.kinematics(m, d.replace(qpos=m.qpos0))
+        motion = self._tree.motion(m, d)
+        mass = self._tree.mass_matrix(m, motion)
+        inverse = jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(mass), jnp.eye(len(mass), dtype=mass.dtype))
+        j = _point_jacobians(self._tree.moves.astype(mass.dtype), d.xipos - motion.com, motion.cdof)
+        # A third of the trace of J M^-1 J'
+        straight = ((j @ inverse) * j).sum(axis=(1, 2)) / 3
+        return {"body_invweight0": m.body_invweight0.at[:, 0].set(straight), "dof_invweight0": jnp.diag(inverse)}
+
     def _loops(self, m: Array, d: Array, motion: Motion) -> Rows:
         loops = len(self._ends) // 2
         offset = jnp.concatenate([m.eq_data[:, :3], m.eq_data[:, 3:6]])

@@ -16,14 +16,17 @@ from cassie_mjx.physics.types import (
     BodyState,
     PhysicsState,
     Scenario,
+    begin_history,
     check_batch,
     check_delay,
     check_ground,
     check_start,
-    delayed,
+    late_torque,
+    motor_torque,
 )
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
+from cassie_mjx.robot.dynamics import Dynamics, varied
 from cassie_mjx.robot.ground import Ground, height_below, smooth_height_below
 
 # MJX announces on stdout that its optional Warp backend is not installed.
@@ -66,8 +69,7 @@ class MjxPhysics:
         if not isinstance(qpos, jax.core.Tracer):
             check_start(qpos, qvel)
         qpos, qvel = jnp.asarray(qpos), jnp.asarray(qvel)
-        slots = self.max_delay + 1 if self.max_delay else 0
-        history = jnp.repeat(jnp.concatenate([qpos, qvel], axis=1)[:, None], slots, axis=1)
+        history = begin_history(qpos, qvel, self.max_delay)
         return PhysicsState(qpos, qvel, jnp.zeros_like(qvel), jnp.zeros(len(qpos), jnp.int32), history)
 
     def advance(self, state: PhysicsState, target: Array, scenario: Scenario, n_steps: int) -> PhysicsState:
@@ -86,22 +88,27 @@ class MjxPhysics:
     def _scan(self, state: PhysicsState, target: Array, scenario: Scenario, n_steps: int) -> PhysicsState:
         dtype = state.qpos.dtype
         target, scenario = jax.tree.map(partial(_as_floats, dtype), (target, scenario))
-        kd_scale = scenario.kd_scale[:, None]
+        changes = {} if scenario.dynamics is None else jax.vmap(self._changes)(scenario.dynamics)
 
         def substep(state: PhysicsState, _: None) -> tuple[PhysicsState, None]:
-            qpos, qvel = delayed(state, scenario)
-            q, qdot = qpos[:, cassie.ACTIVE_QPOS], qvel[:, cassie.ACTIVE_QVEL]
-            torque = cassie.pd_torque(target, q, qdot, kd_scale).astype(dtype)
-            push = scenario.force(state.step)
-            moved = jax.vmap(self._step)(state.qpos, state.qvel, state.qacc_warmstart, torque, push, scenario)
-            return self._record(PhysicsState(*moved, state.step + 1, state.history)), None
+            asked = motor_torque(state, target, scenario).astype(dtype)
+            torque = late_torque(state, asked, scenario)
+            push, ground = scenario.force(state.step), scenario.ground
+            moved = jax.vmap(self._step)(state.qpos, state.qvel, state.qacc_warmstart, torque, push, ground, changes)
+            return self._record(PhysicsState(*moved, state.step + 1, state.history), asked), None
 
         return jax.lax.scan(substep, state, None, length=n_steps)[0]
 
-    def _record(self, state: PhysicsState) -> PhysicsState:
+    def _changes(self, dynamics: Dynamics) -> dict[str, jax.Array]:
+        """The fields of the model that the dynamics of one robot change, and those that MuJoCo derives from them."""
+        changes = varied(self._mjx, dynamics)
+        m = self._mjx.replace(**changes)
+        return changes | self._constraints.inverse_weights(m, mjx.make_data(self._mjx, self._device))
+
+    def _record(self, state: PhysicsState, asked: jax.Array) -> PhysicsState:
         if not self.max_delay:
             return state
-        now = jnp.concatenate([state.qpos, state.qvel], axis=1)
+        now = jnp.concatenate([state.qpos, state.qvel, asked], axis=1)
         slot = state.step % (self.max_delay + 1)
         history = state.history.at[jnp.arange(len(slot)), slot].set(now)
         return PhysicsState(state.qpos, state.qvel, state.qacc_warmstart, state.step, history)
@@ -113,12 +120,13 @@ class MjxPhysics:
         warmstart: jax.Array,
         torque: jax.Array,
         push: jax.Array,
-        scenario: Scenario,
+        ground: Ground,
+        changes: dict[str, jax.Array],
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
         """One physics step of one robot: `mjx.step` less what Cassie has not, plus the loops' bias acceleration."""
-        m = self._mjx
-        d = mjx.make_data(m, self._device).replace(qpos=qpos, qvel=qvel, qacc_warmstart=warmstart)
-        mass, force, solution = self.dynamics(m, d, torque, push, scenario.ground)
+        m = self._mjx.replace(**changes)
+        d = mjx.make_data(self._mjx, self._device).replace(qpos=qpos, qvel=qvel, qacc_warmstart=warmstart)
+        mass, force, solution = self.dynamics(m, d, torque, push, ground)
         # Dampers count with the velocity after the step: (M + dt B) qacc = f
         implicit = mass + jnp.diag(m.opt.timestep * m.dof_damping)
         qvel = qvel + m.opt.timestep * newton.solve_positive(implicit, force + solution.force)

@@ -5,7 +5,9 @@ import os
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
+from operator import itemgetter
 
+import jax
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
@@ -14,14 +16,17 @@ from cassie_mjx.physics.types import (
     BodyState,
     PhysicsState,
     Scenario,
+    begin_history,
     check_batch,
     check_delay,
     check_ground,
     check_start,
-    delayed,
+    late_torque,
+    motor_torque,
 )
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
+from cassie_mjx.robot.dynamics import Dynamics, set_dynamics
 from cassie_mjx.robot.ground import Ground, scene_of, set_terrain
 from cassie_mjx.robot.model import servo_model
 
@@ -54,7 +59,8 @@ class NativePhysics:
         self.max_delay = max_delay
         self._threads = threads or cores()
         self._scene = scene_of(model)
-        self._models: dict[tuple[float, ...], mujoco.MjModel] = {}
+        self._scratch = mujoco.MjData(model)
+        self._models: dict[bytes, mujoco.MjModel] = {}
         self._batches: dict[int, _Pool] = {}
         self._kinematics: dict[int, _Kinematics] = {}
 
@@ -62,8 +68,7 @@ class NativePhysics:
         """See `Physics.init`."""
         qpos, qvel = np.array(qpos, float), np.array(qvel, float)
         check_start(qpos, qvel)
-        slots = self.max_delay + 1 if self.max_delay else 0
-        history = np.repeat(np.concatenate([qpos, qvel], axis=1)[:, None], slots, axis=1)
+        history = begin_history(qpos, qvel, self.max_delay)
         return PhysicsState(qpos, qvel, np.zeros_like(qvel), np.zeros(len(qpos), np.int32), history)
 
     def advance(self, state: PhysicsState, target: Array, scenario: Scenario, n_steps: int) -> PhysicsState:
@@ -79,16 +84,14 @@ class NativePhysics:
                 pool.batch.step(nstep=stop - start)
             return pool.state(state.step + n_steps, state.history)
         state = replace(state, history=state.history.copy())
-        kd_scale = scenario.kd_scale[:, None]
         for _ in range(n_steps):
-            qpos, qvel = delayed(state, scenario)
-            q, qdot = qpos[:, cassie.ACTIVE_QPOS], qvel[:, cassie.ACTIVE_QVEL]
-            pool.ctrl[:] = cassie.pd_torque(target, q, qdot, kd_scale) / cassie.GEAR
+            torque = motor_torque(state, target, scenario)
+            pool.ctrl[:] = late_torque(state, torque, scenario) / cassie.GEAR
             pool.push[:] = scenario.force(state.step)
             pool.batch.step()
             state = pool.state(state.step + 1, state.history)
             rows = np.arange(len(state.step)), state.step % (self.max_delay + 1)
-            state.history[rows] = np.concatenate([state.qpos, state.qvel], axis=1)
+            state.history[rows] = np.concatenate([state.qpos, state.qvel, torque], axis=1)
         return state
 
     def bodies(self, state: PhysicsState) -> BodyState:
@@ -104,21 +107,27 @@ class NativePhysics:
         if batch_size not in self._batches:
             self._batches[batch_size] = _Pool(Batch(self.model, batch_size, self._threads))
         pool = self._batches[batch_size]
-        parameters = _model_parameters(scenario)
+        # Robots whose rows are the same share a model.
+        parameters = np.column_stack(jax.tree.leaves(_of_models(scenario)))
         if not np.array_equal(pool.parameters, parameters):
             pool.parameters = parameters
-            rows = [tuple(row) for row in parameters.tolist()]
-            self._models = {row: self._models.get(row) or self._model_of(row) for row in set(rows)}
+            rows = [row.tobytes() for row in parameters]
+            owners = {row: robot for robot, row in enumerate(rows)}
+            self._models = {row: self._models.get(row) or self._model_of(scenario, owners[row]) for row in owners}
             pool.batch.set_models([self._models[row] for row in rows])
         pool.qpos[:], pool.qvel[:], pool.warmstart[:] = state.qpos, state.qvel, state.qacc_warmstart
         return pool
 
-    def _model_of(self, parameters: tuple[float, ...]) -> mujoco.MjModel:
-        """The model of robots with these `_model_parameters`; with delay, the PD law is not a part of it."""
-        kd_scale, sine, ahead, aside, steps, rough, seed = parameters
-        model = copy.copy(self.model) if self.max_delay else servo_model(self.model, kd_scale)
+    def _model_of(self, scenario: Scenario, robot: int) -> mujoco.MjModel:
+        """The model of one of the robots; with delay, the PD law is not a part of it."""
+        kd_scale, ground, dynamics = jax.tree.map(itemgetter(robot), _of_models(scenario))
+        model = copy.copy(self.model) if self.max_delay else servo_model(self.model, kd_scale, dynamics)
+        if dynamics is not None:
+            set_dynamics(model, dynamics, self._scratch)
+            # The limit of its motors is the law's.
+            model.actuator_ctrllimited[:] = 0
         if model.nhfield:
-            set_terrain(model, Ground(sine, np.array([ahead, aside]), steps, rough, int(seed)))
+            set_terrain(model, ground)
         return model
 
 
@@ -158,12 +167,12 @@ class _Kinematics:
         )
 
 
-def _model_parameters(scenario: Scenario) -> np.ndarray:
-    """What makes another compiled model, a row a robot; robots with the same values share one."""
+def _of_models(scenario: Scenario) -> tuple[Array, Ground, Dynamics | None]:
+    """What of a scenario makes another compiled model."""
     ground = scenario.ground
     # The seed of ground that is not rough makes no difference.
-    seed = np.where(ground.rough == 0, 0, ground.seed)
-    return np.column_stack([scenario.kd_scale, ground.sine, ground.slope, ground.steps, ground.rough, seed])
+    ground = replace(ground, seed=np.where(ground.rough == 0, 0, ground.seed))
+    return scenario.kd_scale, ground, scenario.dynamics
 
 
 def _force_segments(step: np.ndarray, scenario: Scenario, n_steps: int) -> Iterator[tuple[int, int]]:

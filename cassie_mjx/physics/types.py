@@ -1,6 +1,6 @@
 """What both physics engines take and give: states, scenarios and body poses, batched over robots (axis B)."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 import jax
@@ -9,6 +9,7 @@ import numpy as np
 
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array, namespace
+from cassie_mjx.robot.dynamics import Dynamics, encoded
 from cassie_mjx.robot.ground import SCENES, Ground
 
 T = TypeVar("T")
@@ -24,8 +25,8 @@ class PhysicsState:
       qvel: generalised velocities, [B, 32]: m/s world frame, rad/s body frame for the pelvis, rad/s for the joints.
       qacc_warmstart: the solver's starting point, [B, 32], m/s² and rad/s².
       step: physics steps since `init`, [B], int32.
-      history: the last states, (qpos, qvel) side by side, [B, max_delay + 1, 67]; slot `step % (max_delay + 1)` is the
-        present one. [B, 0, 67] on an engine without delay.
+      history: the last states, (qpos, qvel) side by side with the torque asked for in the step that led to them,
+        [B, max_delay + 1, 77]; slot `step % (max_delay + 1)` is the present one. [B, 0, 77] on an engine without delay.
     """
 
     qpos: Array
@@ -47,6 +48,7 @@ class Scenario:
       delay: age of the state that the PD loop and the agent sense, [B], int32, physics steps.
       ground: what each robot walks on, [B].
       kd_scale: factor on the D gains of the PD law, [B].
+      dynamics: how each robot differs from the model, [B]; None if none does, which costs an engine nothing.
     """
 
     push: Array
@@ -55,15 +57,24 @@ class Scenario:
     delay: Array
     ground: Ground
     kd_scale: Array
+    dynamics: Dynamics | None = None
 
     @classmethod
-    def nominal(cls, robots: int, pushes: int = 1, ground: Ground | None = None, **changes: Array) -> "Scenario":
+    def nominal(
+        cls,
+        robots: int,
+        pushes: int = 1,
+        ground: Ground | None = None,
+        dynamics: Dynamics | None = None,
+        **changes: Array,
+    ) -> "Scenario":
         """Undisturbed walking of nominal robots on a flat floor, but for what is given.
 
         Args:
           robots: B.
           pushes: P, how many pushes there is room for.
           ground: of each robot, [B].
+          dynamics: of each robot, [B].
           changes: other fields, [B, ...] or one value.
         """
         steps = np.zeros((robots, pushes), np.int32)
@@ -75,7 +86,7 @@ class Scenario:
             "kd_scale": np.ones(robots),
         }
         given = {name: np.broadcast_to(value, values[name].shape) for name, value in changes.items()}
-        return cls(**(values | given), ground=Ground.flat(robots) if ground is None else ground)
+        return cls(**(values | given), ground=Ground.flat(robots) if ground is None else ground, dynamics=dynamics)
 
     def force(self, step: Array) -> Array:
         """Sum of the pushes that act in physics step `step` [B], [B, 3], N, world frame."""
@@ -114,7 +125,7 @@ class Physics(Protocol):
 
     model: mujoco.MjModel
     max_delay: int
-    """Longest delay of a scenario, physics steps."""
+    """Longest delay of a scenario, of what is sensed and of torques, physics steps."""
     traceable: bool
     """Whether its methods may be called under `jax.jit`; robots are then stepped on JAX's device."""
 
@@ -139,13 +150,50 @@ class Physics(Protocol):
 
 
 def delayed(state: PhysicsState, scenario: Scenario) -> tuple[Array, Array]:
-    """State as sensed, (qpos [B, 35], qvel [B, 32]): `scenario.delay` physics steps old if there is a history."""
+    """State (qpos [B, 35], qvel [B, 32]) `scenario.delay` physics steps ago, if there is a history."""
     slots = state.history.shape[1]
     if slots == 0:
         return state.qpos, state.qvel
     slot = (state.step - scenario.delay) % slots
     seen = state.history[np.arange(len(state.history)), slot]
-    return seen[:, : state.qpos.shape[1]], seen[:, state.qpos.shape[1] :]
+    return seen[:, : cassie.NQ], seen[:, cassie.NQ : cassie.NQ + cassie.NV]
+
+
+def sensed(state: PhysicsState, scenario: Scenario) -> tuple[Array, Array]:
+    """State as sensed, (qpos [B, 35], qvel [B, 32]): as old as the delay has it, and as the encoders show it."""
+    qpos, qvel = delayed(state, scenario)
+    return encoded(qpos, scenario.dynamics), qvel
+
+
+def motor_torque(state: PhysicsState, target: Array, scenario: Scenario) -> Array:
+    """Torques at the joints, [B, 10], N·m, with which motors answer PD targets [B, 10], rad, on what is sensed."""
+    qpos, qvel = sensed(state, scenario)
+    q, qdot = qpos[:, cassie.ACTIVE_QPOS], qvel[:, cassie.ACTIVE_QVEL]
+    kd_scale, dynamics = scenario.kd_scale[:, None], scenario.dynamics
+    if dynamics is None:
+        return cassie.pd_torque(target, q, qdot, kd_scale)
+    strength, p_gain, d_gain = (x[:, None] for x in (dynamics.strength, dynamics.p_gain, dynamics.d_gain))
+    return strength * cassie.pd_torque(target, q, qdot, d_gain * kd_scale, p_gain)
+
+
+def late_torque(state: PhysicsState, torque: Array, scenario: Scenario) -> Array:
+    """Torques that act in this physics step, [B, 10], N·m, where those of `torque` [B, 10] are asked for.
+
+    They are as old as the scenario's torque delay; until that time has passed since the start, none is late.
+    """
+    slots, dynamics = state.history.shape[1], scenario.dynamics
+    if dynamics is None or slots == 0:
+        return torque
+    late = dynamics.torque_delay
+    old = state.history[np.arange(len(torque)), (state.step + 1 - late) % slots, -cassie.NU :]
+    return namespace(torque).where(((late == 0) | (state.step < late))[:, None], torque, old)
+
+
+def begin_history(qpos: Array, qvel: Array, max_delay: int) -> Array:
+    """The `PhysicsState.history` of robots that have always been in the state qpos [B, 35], qvel [B, 32]."""
+    xp = namespace(qpos)
+    now = xp.concatenate([qpos, qvel, xp.zeros((len(qpos), cassie.NU), qpos.dtype)], axis=1)
+    return xp.repeat(now[:, None], max_delay + 1 if max_delay else 0, axis=1)
 
 
 def merge(chosen: Array, these: T, those: T) -> T:
@@ -172,10 +220,15 @@ def check_batch(state: PhysicsState, target: Array, scenario: Scenario) -> None:
         "push_stop": (pushes,),
         "slope": (2,),
         "target": (cassie.NU,),
+        "mass": (len(cassie.BODIES),),
+        "com": (3,),
+        "encoder_offset": (len(cassie.ENCODERS),),
     }
-    given = {f"scenario.{f.name}": getattr(scenario, f.name) for f in fields(scenario) if f.name != "ground"}
-    ground = {f"scenario.ground.{f.name}": getattr(scenario.ground, f.name) for f in fields(Ground)}
-    for name, array in {"target": target, **given, **ground}.items():
+    given = {"target": target} | {f"scenario.{name}": value for name, value in vars(scenario).items()}
+    for part in ("scenario.ground", "scenario.dynamics"):
+        if (nested := given.pop(part)) is not None:
+            given |= {f"{part}.{name}": value for name, value in vars(nested).items()}
+    for name, array in given.items():
         expected = robots, *tails.get(name.split(".")[-1], ())
         if array.shape != expected:
             raise ValueError(f"{name} has shape {array.shape}; for {robots} robots it must be {expected}.")
@@ -200,8 +253,9 @@ def check_start(qpos: Array, qvel: Array) -> None:
 
 
 def check_delay(scenario: Scenario, max_delay: int) -> None:
-    """Raise ValueError for a delay outside 0..max_delay physics steps."""
-    shortest, worst = np.min(scenario.delay, initial=0), np.max(scenario.delay, initial=0)
+    """Raise ValueError for a delay, of what is sensed or of torques, outside 0..max_delay physics steps."""
+    delays = [scenario.delay] if scenario.dynamics is None else [scenario.delay, scenario.dynamics.torque_delay]
+    shortest, worst = (find([find(delay, initial=0) for delay in delays]) for find in (np.min, np.max))
     if shortest < 0:
         raise ValueError(f"A delay of {shortest} physics steps looks into the future; it must be at least 0.")
     if worst > max_delay:

@@ -84,6 +84,9 @@ ACTIVE_QPOS = qpos_index(*ACTUATORS)
 ACTIVE_QVEL = qvel_index(*ACTUATORS)
 SPRUNG_NAMES = tuple(f"{side}-{name}" for side in SIDES for name in SPRUNG)
 SHIN_QPOS = qpos_index("left-shin", "right-shin")
+ENCODERS = (*ACTUATORS, *SPRUNG_NAMES)
+"""Joints with an encoder, in the order of what they are off by."""
+ENCODER_QPOS = qpos_index(*ENCODERS)
 # A robot whose pelvis is lower or higher than this over the ground below it has fallen, m (Xie et al. 2018).
 FALL_LOW_M, FALL_HIGH_M = 0.6, 1.2
 
@@ -122,7 +125,9 @@ STANDING_TARGET = np.array(
 )
 
 
-def pd_torque(target: Array, q: Array, qdot: Array, kd_scale: Array | float = 1.0) -> Array:
+def pd_torque(
+    target: Array, q: Array, qdot: Array, kd_scale: Array | float = 1.0, kp_scale: Array | float = 1.0
+) -> Array:
     """Joint torque of the PD law, N·m, for NumPy and JAX arrays alike.
 
     Args:
@@ -130,11 +135,12 @@ def pd_torque(target: Array, q: Array, qdot: Array, kd_scale: Array | float = 1.
       q: active joint angles, [..., 10], rad.
       qdot: active joint velocities, [..., 10], rad/s.
       kd_scale: s, factor on all D gains, one number or [..., 1].
+      kp_scale: k, factor on all P gains, one number or [..., 1].
 
     Returns:
-      tau = clip(P (target - q) - s D qdot, -limit, limit), [..., 10].
+      tau = clip(k P (target - q) - s D qdot, -limit, limit), [..., 10].
     """
-    return (P_GAIN * (target - q) - kd_scale * D_GAIN * qdot).clip(-TORQUE_LIMIT, TORQUE_LIMIT)
+    return (kp_scale * P_GAIN * (target - q) - kd_scale * D_GAIN * qdot).clip(-TORQUE_LIMIT, TORQUE_LIMIT)
 
 
 def torque_as_target(torque: Array, q: Array, qdot: Array) -> Array:

@@ -179,8 +179,10 @@ def set_terrain(model: mujoco.MjModel, ground: Ground) -> None:
     floor = model.geom("floor").id
     x = model.geom_pos[floor, 0] + np.linspace(-half_x, half_x, columns)
     y = model.geom_pos[floor, 1] + np.linspace(-half_y, half_y, rows)
-    each = Ground(**{field.name: np.asarray(getattr(ground, field.name))[None, None] for field in fields(Ground)})
-    z = height_below(each, *np.broadcast_arrays(x, y[:, None]))
+    kinds = {field.name: int if field.name == "seed" else float for field in fields(Ground)}
+    each = Ground(**{name: np.asarray(getattr(ground, name), kind)[None, None] for name, kind in kinds.items()})
+    height = height_below if ground.rough else smooth_height_below
+    z = height(each, *np.broadcast_arrays(x, y[:, None]))
     # MuJoCo wants a positive extent; a micrometre is flat.
     lowest, extent = z.min(), max(np.ptp(z), 1e-6)
     model.hfield_data[:] = ((z - lowest) / extent).ravel()

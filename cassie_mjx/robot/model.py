@@ -12,6 +12,7 @@ import numpy as np
 
 from cassie_mjx.configuration.values import Checked, Range
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.dynamics import Dynamics
 from cassie_mjx.robot.ground import SCENES
 from cassie_mjx.robot.mjcf import WALKING_PAIRS, differing, free_root, missing
 
@@ -120,22 +121,28 @@ def load_mjx_model(config: ModelConfig) -> mujoco.MjModel:
     return _compile(spec, config)
 
 
-def servo_model(model: mujoco.MjModel, kd_scale: float = 1.0) -> mujoco.MjModel:
+def servo_model(model: mujoco.MjModel, kd_scale: float = 1.0, dynamics: Dynamics | None = None) -> mujoco.MjModel:
     """A copy whose motors are position servos in joint units: control is the PD target in rad.
 
     Force = P ctrl - P q - s D qdot with s = `kd_scale`, clipped to the joint's torque limit: the PD law of
-    `cassie.pd_torque`, evaluated by MuJoCo at every step.
+    `cassie.pd_torque`, evaluated by MuJoCo at every step. With the dynamics of one robot it is the law on what its
+    encoders show, with its gains, by its motors.
     """
     servo = copy.copy(model)
+    made = Dynamics.nominal() if dynamics is None else dynamics
+    p_gain = cassie.P_GAIN * made.p_gain * made.strength
+    d_gain = kd_scale * cassie.D_GAIN * made.d_gain * made.strength
+    limit = cassie.TORQUE_LIMIT * made.strength
     servo.actuator_gear[:, 0] = 1.0
     servo.actuator_gaintype[:] = mujoco.mjtGain.mjGAIN_FIXED
-    servo.actuator_gainprm[:, 0] = cassie.P_GAIN
+    servo.actuator_gainprm[:, 0] = p_gain
     servo.actuator_biastype[:] = mujoco.mjtBias.mjBIAS_AFFINE
-    servo.actuator_biasprm[:, 1] = -cassie.P_GAIN
-    servo.actuator_biasprm[:, 2] = -kd_scale * cassie.D_GAIN
+    servo.actuator_biasprm[:, 0] = -p_gain * made.encoder_offset[: cassie.NU]
+    servo.actuator_biasprm[:, 1] = -p_gain
+    servo.actuator_biasprm[:, 2] = -d_gain
     servo.actuator_ctrllimited[:] = 0
     servo.actuator_forcelimited[:] = 1
-    servo.actuator_forcerange[:] = np.stack([-cassie.TORQUE_LIMIT, cassie.TORQUE_LIMIT], axis=1)
+    servo.actuator_forcerange[:] = np.stack([-limit, limit], axis=1)
     return servo
 
 
@@ -166,6 +173,11 @@ def _strip(spec: mujoco.MjSpec) -> None:
     """Delete what only eyes and sensors need."""
     for group in (spec.sensors, spec.cameras, spec.lights, spec.sites):
         for element in list(group):
+            spec.delete(element)
+    for geom in spec.geoms:
+        geom.material = ""
+    for looks in (spec.materials, spec.textures):
+        for element in list(looks):
             spec.delete(element)
     for geom in [g for g in spec.geoms if g.name != "floor" and not g.name.endswith("-collision")]:
         spec.delete(geom)

@@ -10,8 +10,8 @@
         data.body("cassie-pelvis").xfrc_applied[:3] = pushed @ before["push"]
         mujoco.mj_step(model, data)
 
-The motors are position servos on the present state: what diverged on senses `delay` steps old, or on MJX, need not do
-so again in MuJoCo C.
+The motors are position servos on the present state: what diverged on senses `delay` steps old, with late torques, or on
+MJX, need not do so again in MuJoCo C.
 """
 
 import copy
@@ -30,6 +30,7 @@ from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.ppo.rollout import collect_on_host
 from cassie_mjx.ppo.types import Policy
 from cassie_mjx.robot.arrays import Array
+from cassie_mjx.robot.dynamics import Dynamics, set_dynamics
 from cassie_mjx.robot.ground import Ground, set_terrain
 from cassie_mjx.robot.model import ModelConfig, load_model, servo_model
 
@@ -69,7 +70,12 @@ def dump(folder: Path, physics: Physics, divergence: Divergence) -> None:
     )
     if ground.uneven and not model.nhfield:  # on MJX the terrain is planes that move
         model = load_model(ModelConfig(physics_hz=round(1 / model.opt.timestep), scene=ground.scene))
-    model = servo_model(model, float(divergence["kd_scale"]))
+    dynamics = None
+    if "dynamics_mass" in divergence:
+        dynamics = Dynamics(**{field.name: divergence[f"dynamics_{field.name}"] for field in fields(Dynamics)})
+    model = servo_model(model, float(divergence["kd_scale"]), dynamics)
+    if dynamics is not None:
+        set_dynamics(model, dynamics, mujoco.MjData(model))
     if model.nhfield:
         set_terrain(model, ground)
     mujoco.mj_saveModel(model, str(folder / "model.mjb"))
@@ -89,7 +95,8 @@ class _WatchedPhysics:
         lost = np.flatnonzero(~np.isfinite(np.concatenate([after.qpos, after.qvel], axis=1)).all(axis=1))
         if len(lost) and self.divergence is None:
             given = asdict(state) | asdict(scenario) | {"target": target}
-            given |= {f"ground_{name}": value for name, value in given.pop("ground").items()}
+            for part in ("ground", "dynamics"):
+                given |= {f"{part}_{name}": value for name, value in (given.pop(part) or {}).items()}
             self.divergence = {name: np.asarray(value)[lost[0]] for name, value in given.items()}
             self.divergence["n_steps"] = n_steps
         return after

@@ -23,8 +23,9 @@ def needed_bytes(ppo: PPOConfig, walk: WalkConfig, physics: str, physics_hz: int
     widths, observed = ppo.hidden_sizes, OBSERVATIONS[walk.observation].size
     sample = 4 * (COPIES_OF_OBSERVATIONS * observed + COPIES_OF_LAYERS * max(widths))
     weights = sum(a * b for a, b in pairwise((observed, *widths, cassie.NU)))
-    history = walk.scenario.delay_steps(physics_hz) + 1
-    robot = 8 * COPIES_OF_HISTORY * history * (cassie.NQ + cassie.NV) + BYTES_OF_MJX_ROBOT * (physics == "mjx")
+    history = walk.delay_steps(physics_hz) + 1
+    remembered = history * (cassie.NQ + cassie.NV + cassie.NU)
+    robot = 8 * COPIES_OF_HISTORY * remembered + BYTES_OF_MJX_ROBOT * (physics == "mjx")
     return ppo.num_samples * sample + 4 * COPIES_OF_WEIGHTS * weights + ppo.num_robots * robot
 
 

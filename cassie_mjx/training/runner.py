@@ -241,7 +241,7 @@ class Runner:
         names = ["last"]
         # No undisturbed return tells which policy is the most robust: under disturbances, it is the last.
         goal = f"return_{walk.reward}"
-        if returns[goal] > getattr(counters, goal) or walk.scenario.active:
+        if returns[goal] > getattr(counters, goal) or walk.draws:
             counters.return_plain, counters.return_weighted = returns["return_plain"], returns["return_weighted"]
             names.append("best")
         factor, followed = speed_factors(self.config.speed)[0], limits(self.motion, self.trainer.env.commands)

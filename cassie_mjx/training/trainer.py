@@ -102,8 +102,8 @@ class Trainer:
         update = partial(learner.update, config.ppo)
         solver = ENGINES[config.physics].training
         model_hz = config.physics_hz or solver.physics_hz
-        model = replace(solver, physics_hz=model_hz, scene=config.walk.scenario.scene, contacts=config.contacts)
-        physics = make_physics(config.physics, model, config.walk.scenario.delay_steps(model_hz))
+        model = replace(solver, physics_hz=model_hz, scene=config.walk.scene, contacts=config.contacts)
+        physics = make_physics(config.physics, model, config.walk.delay_steps(model_hz))
         commands = command_range(motion, config.speed, config.command)
         if physics.traceable:
             self.env = WalkEnv(physics, motion, config.walk, config.ppo.num_robots, *commands)
