@@ -21,7 +21,6 @@ from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Scenario, motor_torque, sensed
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.dynamics import Dynamics, set_dynamics, varied
-from cassie_mjx.robot.ground import Ground
 from cassie_mjx.robot.model import MJX_TRAINING, ModelConfig, load_mjx_model, load_model
 
 ROBOTS, HZ = 6, 1000
@@ -68,13 +67,13 @@ def velocity(qpos, qvel, dynamics):
     return data.subtree_linvel[0].copy()
 
 
-def walk(physics, scenario, control_steps, targets=None):
+def walk(physics, scenario, control_steps):
     """Robots of the reference motion's first poses under its own angles, which is a walk for a while."""
-    motion = load_motion("walk")
-    robots = len(scenario.delay)
-    state = physics.init(motion.qpos[:robots], motion.qvel[:robots])
+    motion, robots = load_motion("walk"), len(scenario.delay)
+    kind = np.float32 if physics.traceable else np.float64
+    state = physics.init(motion.qpos[:robots].astype(kind), motion.qvel[:robots].astype(kind))
     for k in range(1, control_steps + 1):
-        target = motion.qpos[k : k + robots, cassie.ACTIVE_QPOS] if targets is None else targets
+        target = motion.qpos[k : k + robots, cassie.ACTIVE_QPOS]
         state = physics.advance(state, target, scenario, round(0.032 / physics.model.opt.timestep))
     return state
 
@@ -140,13 +139,13 @@ def test_feet_slide_with_the_deceleration_of_their_friction(native, standing_qpo
     friction = np.array([0.1, 0.2])
     scenario = Scenario.nominal(2, dynamics=Dynamics.nominal(2, friction=friction))
     state = native.advance(standing(native, standing_qpos, 2), np.tile(POSES, (2, 1)), scenario, 200)
-    state.qvel[:, 0] += 1.0
-    after = native.advance(state, np.tile(POSES, (2, 1)), scenario, 100)
+    state.qvel[:, 0] += 5.0
+    after = native.advance(state, np.tile(POSES, (2, 1)), scenario, 50)
     for robot, mu in enumerate(friction.tolist()):
         before, now = (velocity(each.qpos[robot], each.qvel[robot], Dynamics.nominal()) for each in (state, after))
         (slower, _, rising) = now - before
-        assert -slower == pytest.approx(mu * (9.81 * 0.1 + rising), rel=0.03)
-        assert 9.81 * 0.1 + rising > 0.5
+        assert -slower == pytest.approx(mu * (9.81 * 0.05 + rising), rel=0.06)
+        assert 9.81 * 0.05 + rising > 0.25
 
 
 def test_dampers_and_the_pelvis_centre_of_mass():
@@ -218,21 +217,15 @@ def test_mjx_derives_the_inverse_masses_that_mujoco_c_does(drawn):
             np.testing.assert_allclose(found[name], getattr(own, name), rtol=1e-5, atol=1e-7)
 
 
-def test_both_engines_walk_the_same_varied_robots(late, drawn):
-    """Float32 on MJX: as near as for robots that do not differ, and far from where those are."""
-    robots, slope = drawn
-    ground = replace(Ground.flat(ROBOTS), slope=slope.astype(float))
-    scenario = Scenario.nominal(ROBOTS, dynamics=robots, ground=ground, delay=np.arange(ROBOTS, dtype=np.int32))
-    c = walk(late, scenario, 4)
-    mjx = MjxPhysics(load_mjx_model(replace(MJX_TRAINING, iterations=20, ls_iterations=20)), 6, scene="terrain")
-    motion = load_motion("walk")
-    x = mjx.init(motion.qpos[:ROBOTS].astype(np.float32), motion.qvel[:ROBOTS].astype(np.float32))
-    for k in range(1, 5):
-        x = mjx.advance(x, motion.qpos[k : k + ROBOTS, cassie.ACTIVE_QPOS], scenario, 32)
-    nominal = walk(late, Scenario.nominal(ROBOTS), 4)
-    assert abs(nominal.qpos - c.qpos).max() > 0.05
-    np.testing.assert_allclose(x.qpos[:, :3], c.qpos[:, :3], atol=1e-3)
-    np.testing.assert_allclose(x.qpos[:, cassie.ACTIVE_QPOS], c.qpos[:, cassie.ACTIVE_QPOS], atol=5e-3)
+def test_both_engines_walk_the_same_varied_robots(drawn):
+    """Float32 on MJX, sensing 0 to 5 ms late: as near as robots that do not differ, and far from where those are."""
+    scenario = Scenario.nominal(ROBOTS, dynamics=drawn[0], delay=np.arange(ROBOTS, dtype=np.int32))
+    native = NativePhysics(load_model(MODEL), max_delay=6)
+    c, nominal = walk(native, scenario, 4), walk(native, Scenario.nominal(ROBOTS), 4)
+    assert abs(nominal.qpos - c.qpos).max(axis=1).min() > 0.01
+    x = walk(MjxPhysics(load_mjx_model(MJX_TRAINING), 6, scene="flat"), scenario, 4)
+    np.testing.assert_allclose(x.qpos[:, :3], c.qpos[:, :3], atol=1e-4)
+    np.testing.assert_allclose(x.qpos, c.qpos, atol=1e-3)
 
 
 # What is drawn
@@ -296,7 +289,7 @@ def test_episodes_draw_robots_anew_and_robots_keep_theirs(dynamics):
     assert over.any()
     np.testing.assert_array_equal((masses[3] != masses[2]).any(axis=1), over)
     # What is observed is what encoders show, also as an episode begins.
-    angles = slice(15, 20)
+    angles = slice(12, 17)
     fresh = env.reset(jax.random.key(3))
     offset = np.asarray(fresh.scenario.dynamics.encoder_offset)[:, :5]
     true = np.asarray(fresh.physics.qpos)[:, cassie.ACTIVE_QPOS[:5]]
