@@ -296,6 +296,15 @@ def test_episodes_draw_robots_anew_and_robots_keep_theirs(dynamics):
     np.testing.assert_allclose(np.asarray(fresh.observation)[:, angles], true + offset, atol=1e-6)
 
 
+def test_a_step_on_mjx_keeps_the_kind_of_everything():
+    """So that a loop over steps can be compiled; nothing is computed."""
+    env = make_env(robots=4, physics="mjx", config=WalkConfig(dynamics="wide"))
+    state = jax.eval_shape(env.reset, jax.random.key(0))
+    after = jax.eval_shape(env.step, state, jax.ShapeDtypeStruct((4, 10), np.float32), jax.random.key(1))
+    assert jax.tree.map(lambda x: (x.shape, x.dtype), after) == jax.tree.map(lambda x: (x.shape, x.dtype), state)
+    assert state.scenario.dynamics.torque_delay.dtype == np.int32
+
+
 def test_a_critic_sees_what_robots_are_like_in_the_mirror_of_the_policy():
     offset = np.zeros((2, 14))
     offset[:, 0], offset[:, 10] = 0.02, -0.01

@@ -1,5 +1,6 @@
 """How far robots of a task differ from the model, and the draw of what each one is like."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
@@ -43,7 +44,7 @@ class DynamicsRange:
 
     def delay_steps(self, physics_hz: float) -> int:
         """Longest delay of torques, physics steps."""
-        return round(self.torque_delay[1] * physics_hz)
+        return math.ceil(self.torque_delay[1] * physics_hz - 1e-9)
 
 
 RANGES: Mapping[str, DynamicsRange] = {

@@ -4,6 +4,7 @@ Xie et al. 2018: every 32 ms a policy sees robot and reference and adds a residu
 active joints (`control.law`). The reward says how near the robot stays to the reference motion.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -27,7 +28,7 @@ from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.types import Physics, Scenario, merge, sensed, to_backend
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
-from cassie_mjx.robot.dynamics import encoded
+from cassie_mjx.robot.dynamics import Dynamics, encoded
 from cassie_mjx.robot.ground import Ground, height_below
 from cassie_mjx.robot.model import steps_per_control
 
@@ -88,8 +89,7 @@ class WalkEnv:
         time, told, offset = self._draw(key, self.robots)
         scenario = Scenario.nominal(self.robots, kd_scale=np.asarray(self.config.kd_scale))
         if self.config.draws:
-            scenario_key = jax.random.fold_in(key, _SCENARIO_KEY)
-            config = self.config
+            config, scenario_key = self.config, jax.random.fold_in(key, _SCENARIO_KEY)
             scenario = draw_scenario(
                 config.scenario, scenario_key, self.robots, self._physics_hz, config.kd_scale, config.span
             )
@@ -113,6 +113,8 @@ class WalkEnv:
           key: for the noise on the first observation; no noise unless given.
         """
         robots = len(time)
+        if self.config.span and scenario.dynamics is None:
+            scenario = replace(scenario, dynamics=Dynamics.nominal(robots))
         if told is None:
             factor = np.linspace(*self.commands.speeds, robots, dtype=np.float32)
             told = command.command_of(self.motion, jnp.asarray(factor))

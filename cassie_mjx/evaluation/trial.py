@@ -116,7 +116,7 @@ def scenario_of(
       state: theirs, as the trials start.
       hertz: physics steps a second.
       pushes: the most that a trial has.
-      varied: whether robots may differ from the model.
+      varied: whether there is room for robots that differ from the model, if none of these does.
 
     Raises:
       ValueError: a trial has more pushes.
@@ -124,6 +124,7 @@ def scenario_of(
     most = max((len(trial.pushes) for trial in trials), default=0)
     if most > pushes:
         raise ValueError(f"A trial has {most} pushes where there is room for {pushes}.")
+    robots = [trial.dynamics for trial in trials]
     still = Push(0.0, 0.0, seconds=0.0)
     table = np.array([trial.pushes + (still,) * (pushes - len(trial.pushes)) for trial in trials], float)
     forward, left, start_s, seconds = np.moveaxis(table, 2, 0)
@@ -139,7 +140,7 @@ def scenario_of(
         push_stop=start + np.rint(seconds * hertz).astype(np.int32),
         delay=np.array([trial.delay for trial in trials], np.int32),
         ground=ground_of(trials),
-        dynamics=Dynamics.of([trial.dynamics for trial in trials]) if varied else None,
+        dynamics=Dynamics.of(robots) if varied or any(robots) else None,
         kd_scale=np.asarray(agent.kd_scale),
     )
 
