@@ -50,6 +50,10 @@ def of_one(robots, index):
     return jax.tree.map(itemgetter(index), robots)
 
 
+def robots_of(state):
+    return state.scenario.dynamics or pytest.fail("nothing was drawn")
+
+
 def standing(physics, qpos, robots, height=0.0):
     start = np.tile(qpos, (robots, 1))
     start[:, cassie.PELVIS_Z] += height
@@ -281,9 +285,9 @@ def test_episodes_draw_robots_anew_and_robots_keep_theirs(dynamics):
     env = make_env(robots=8, physics_hz=500, config=WalkConfig(dynamics=dynamics, episode_steps=3, symmetric=False))
     state = env.reset(jax.random.key(0))
     assert state.privileged.shape == (8, 34)
-    masses, last = [], None
+    masses, last = [], state
     for i in range(4):
-        masses.append(np.asarray(state.scenario.dynamics.mass))
+        masses.append(np.asarray(robots_of(state).mass))
         last, state = state, env.step(state, np.zeros((8, 10)), jax.random.key(i))
     over = np.asarray(last.terminated | last.truncated)
     assert over.any()
@@ -291,7 +295,7 @@ def test_episodes_draw_robots_anew_and_robots_keep_theirs(dynamics):
     # What is observed is what encoders show, also as an episode begins.
     angles = slice(12, 17)
     fresh = env.reset(jax.random.key(3))
-    offset = np.asarray(fresh.scenario.dynamics.encoder_offset)[:, :5]
+    offset = np.asarray(robots_of(fresh).encoder_offset)[:, :5]
     true = np.asarray(fresh.physics.qpos)[:, cassie.ACTIVE_QPOS[:5]]
     np.testing.assert_allclose(np.asarray(fresh.observation)[:, angles], true + offset, atol=1e-6)
 
@@ -302,7 +306,7 @@ def test_a_step_on_mjx_keeps_the_kind_of_everything():
     state = jax.eval_shape(env.reset, jax.random.key(0))
     after = jax.eval_shape(env.step, state, jax.ShapeDtypeStruct((4, 10), np.float32), jax.random.key(1))
     assert jax.tree.map(lambda x: (x.shape, x.dtype), after) == jax.tree.map(lambda x: (x.shape, x.dtype), state)
-    assert state.scenario.dynamics.torque_delay.dtype == np.int32
+    assert robots_of(state).torque_delay.dtype == np.int32
 
 
 def test_a_critic_sees_what_robots_are_like_in_the_mirror_of_the_policy():
