@@ -31,6 +31,11 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+MOST_MODELS = 256
+"""Models that an engine keeps beyond those in use: training comes back to the same grounds again and again. One with
+rough ground has 2 MB."""
+
+
 class NativePhysics:
     """Steps robots with `mujoco.batch` on a pool of threads; implements `Physics` on NumPy float64 arrays.
 
@@ -108,10 +113,16 @@ class NativePhysics:
         if not np.array_equal(pool.parameters, parameters):
             pool.parameters = parameters
             rows = [tuple(row) for row in parameters.tolist()]
-            self._models = {row: self._models.get(row) or self._model_of(row) for row in set(rows)}
+            self._make_models(set(rows))
             pool.batch.set_models([self._models[row] for row in rows])
         pool.qpos[:], pool.qvel[:], pool.warmstart[:] = state.qpos, state.qvel, state.qacc_warmstart
         return pool
+
+    def _make_models(self, wanted: set[tuple[float, ...]]) -> None:
+        """Make the models of these `_model_parameters` that are not there. Others are kept while there is room."""
+        if len(self._models.keys() | wanted) > MOST_MODELS:
+            self._models = {row: model for row, model in self._models.items() if row in wanted}
+        self._models |= {row: self._model_of(row) for row in wanted - self._models.keys()}
 
     def _model_of(self, parameters: tuple[float, ...]) -> mujoco.MjModel:
         """The model of robots with these `_model_parameters`; with delay, the PD law is not a part of it."""
