@@ -19,6 +19,8 @@ PUSH_S = 0.2
 
 LEVELS = 8
 """Levels above 0 that terrain is drawn from, evenly spaced: MuJoCo C compiles a model for each."""
+LEVEL_UP, LEVEL_DOWN, LEAST_LEVEL = 0.01, 0.04, 0.1
+"""How a level of the curriculum moves: it settles where four of five pushes are survived."""
 TRAINING_SEEDS = 4
 """Rough grounds that robots are trained on, of `ROUGH_SEEDS`."""
 
@@ -30,6 +32,12 @@ class ScenarioConfig(Checked):
     push_n: Annotated[float, Range(0, 1000)] = 0.0
     """Force of a push at the pelvis, N: horizontal, in any direction, for 0.2 s, one push after the
     other."""
+    push_curriculum: bool = False
+    """Whether pushes grow as robots learn to bear them. Every robot has a direction of its own that it is pushed in,
+    and a level, from 0.1 to 1: its pushes are drawn up to `push_n` times the level, which rises with each push that is
+    over and drops with each fall."""
+    undisturbed_share: Annotated[float, Range(0, 1)] = 0.0
+    """Share of the robots that nothing of this disturbs, so that walking undisturbed is still practised."""
     push_backward: Annotated[float, Range(0, 1)] = 1.0
     """Factor on what a push has along -x: backward, robots bear only weaker pushes than in other directions."""
     push_pause_s: Annotated[float, Range(0, 60)] = 4.0
@@ -70,7 +78,12 @@ class ScenarioConfig(Checked):
 
 
 def draw_scenario(
-    config: ScenarioConfig, key: jax.Array, robots: int, physics_hz: float, kd_scale: float = 1.0
+    config: ScenarioConfig,
+    key: jax.Array,
+    robots: int,
+    physics_hz: float,
+    kd_scale: float = 1.0,
+    level: Array | float = 1.0,
 ) -> Scenario:
     """Scenarios of whole episodes, up to the end of their first push.
 
@@ -80,28 +93,35 @@ def draw_scenario(
       robots: B.
       physics_hz: physics steps a second.
       kd_scale: factor on the D gains of all robots.
+      level: of the curriculum, [B]: share of `config.push_n` that pushes are drawn up to.
     """
     force_key, direction_key, pause_key, terrain_key, delay_key = jax.random.split(key, 5)
-    force = jax.random.uniform(force_key, (robots, 1), maxval=config.push_n)
+    alone = round(config.undisturbed_share * robots)
+    disturbed = jnp.arange(robots) >= alone
+    force = disturbed * level * jax.random.uniform(force_key, (robots,), maxval=config.push_n)
     angle = jax.random.uniform(direction_key, (robots,), maxval=2 * jnp.pi)
+    if config.push_curriculum:
+        # Each of the n disturbed robots has an n-th of the circle.
+        angle = (2 * jnp.pi * jnp.arange(robots) + angle) / max(robots - alone, 1)
     forward, left = jnp.cos(angle), jnp.sin(angle)
     forward *= jnp.where(forward < 0, config.push_backward, 1)
     # A push starts with a control step: within one, it would cut the physics' calls of all robots in two.
     longest = math.ceil(config.push_pause_s / CONTROL_PERIOD_S)
     start = jax.random.randint(pause_key, (robots, 1), 0, longest + 1) * steps_per_control(physics_hz)
     return Scenario(
-        push=(force * jnp.stack([forward, left, jnp.zeros(robots)], axis=1))[:, None],
+        push=(force[:, None] * jnp.stack([forward, left, jnp.zeros(robots)], axis=1))[:, None],
         push_start=start,
         push_stop=start + round(PUSH_S * physics_hz),
-        delay=jax.random.randint(delay_key, (robots,), 0, config.delay_steps(physics_hz) + 1),
-        ground=_draw_ground(config, terrain_key, robots),
+        delay=jax.random.randint(delay_key, (robots,), 0, config.delay_steps(physics_hz) + 1) * disturbed,
+        ground=_draw_ground(config, terrain_key, disturbed),
         kd_scale=jnp.full(robots, kd_scale),
     )
 
 
-def _draw_ground(config: ScenarioConfig, key: jax.Array, robots: int) -> Ground:
-    """One of the kinds of terrain for each robot, at one of nine levels, flat among them."""
-    level = jax.random.randint(key, (robots,), 0, LEVELS + 1) / LEVELS
+def _draw_ground(config: ScenarioConfig, key: jax.Array, disturbed: jax.Array) -> Ground:
+    """One of the kinds of terrain for each `disturbed` [B] robot, at one of nine levels, flat among them."""
+    robots = len(disturbed)
+    level = disturbed * jax.random.randint(key, (robots,), 0, LEVELS + 1) / LEVELS
     kind_key, side_key, seed_key = jax.random.split(jax.random.fold_in(key, 1), 3)
     kinds = config.terrains
     chosen = jax.random.randint(kind_key, (robots,), 0, max(len(kinds), 1))
@@ -118,8 +138,27 @@ def _draw_ground(config: ScenarioConfig, key: jax.Array, robots: int) -> Ground:
     )
 
 
+def next_level(level: Array, present: Scenario, step: Array, fallen: Array) -> Array:
+    """The levels [B] of the curriculum after a control step: higher where a push is over, lower where robots fell.
+
+    Args:
+      level: before, [B].
+      present: what acted until now.
+      step: physics steps since the start of the episode, [B].
+      fallen: [B], bool.
+    """
+    over = present.push_stop[:, 0] <= step
+    return jnp.clip(level + LEVEL_UP * over - LEVEL_DOWN * fallen, LEAST_LEVEL, 1)
+
+
 def renew_scenario(
-    config: ScenarioConfig, key: jax.Array, present: Scenario, step: Array, ended: Array, physics_hz: float
+    config: ScenarioConfig,
+    key: jax.Array,
+    present: Scenario,
+    step: Array,
+    ended: Array,
+    physics_hz: float,
+    level: Array | float = 1.0,
 ) -> Scenario:
     """What acts from the next control step on: a new push where the last is over, all anew where the episode is.
 
@@ -130,8 +169,9 @@ def renew_scenario(
       step: physics steps since the start of the episode, [B].
       ended: robots that start a new episode, [B], bool.
       physics_hz: physics steps a second.
+      level: see `draw_scenario`.
     """
-    fresh = draw_scenario(config, key, len(step), physics_hz)
+    fresh = draw_scenario(config, key, len(step), physics_hz, level=level)
     fresh = replace(fresh, kd_scale=present.kd_scale)
     now = step[:, None]
     pushed_again = replace(present, push=fresh.push, push_start=now + fresh.push_start, push_stop=now + fresh.push_stop)

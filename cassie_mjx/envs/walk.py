@@ -18,7 +18,7 @@ from cassie_mjx.control.path import Path, into, out_of
 from cassie_mjx.envs import command, privileged, reward
 from cassie_mjx.envs.command import CommandRange
 from cassie_mjx.envs.config import WalkConfig
-from cassie_mjx.envs.scenario import draw_scenario, renew_scenario
+from cassie_mjx.envs.scenario import LEAST_LEVEL, draw_scenario, next_level, renew_scenario
 from cassie_mjx.envs.start import draw_offset
 from cassie_mjx.envs.termination import Ends, ends
 from cassie_mjx.envs.types import Start, StartOffset, StepOutcome, WalkState
@@ -89,7 +89,12 @@ class WalkEnv:
         if self.config.scenario.active:
             scenario_key = jax.random.fold_in(key, _SCENARIO_KEY)
             scenario = draw_scenario(
-                self.config.scenario, scenario_key, self.robots, self._physics_hz, self.config.kd_scale
+                self.config.scenario,
+                scenario_key,
+                self.robots,
+                self._physics_hz,
+                self.config.kd_scale,
+                self._first_level(self.robots),
             )
         return self.reset_at(time, scenario, told, offset, key)
 
@@ -124,6 +129,7 @@ class WalkEnv:
             scenario=to_backend(physics, scenario),
             motion=start.motion,
             sensing=start.sensing,
+            push_level=self._first_level(robots),
             observation=start.observation,
             final_observation=start.observation,
             privileged=start.privileged,
@@ -148,7 +154,9 @@ class WalkEnv:
         held = to_backend(state.physics, self._target(state.motion, action))
         physics = self.physics.advance(state.physics, held, state.scenario, self._substeps)
         sensed = delayed(physics, state.scenario)
-        outcome = self._outcome(state.motion, state.sensing, state.scenario, physics.qpos, physics.qvel, *sensed, key)
+        outcome = self._outcome(
+            state.motion, state.sensing, state.push_level, state.scenario, physics.qpos, physics.qvel, *sensed, key
+        )
         fresh = self.physics.init(outcome.start.qpos, outcome.start.qvel)
         ended = outcome.terminated | outcome.truncated
         given: dict[str, Any] = outcome._asdict()
@@ -213,6 +221,7 @@ class WalkEnv:
         self,
         before: MotionState,
         sensing: jax.Array,
+        push_level: jax.Array,
         scenario: Scenario,
         qpos: jax.Array,
         qvel: jax.Array,
@@ -239,7 +248,9 @@ class WalkEnv:
         known = self._privileged(state, scenario, lead)
         if self.config.leash_m is not None:
             state = motions.follow(state, lead, aside, self.config.leash_m)
-        scenario = self._renew(scenario, state, ended, key)
+        if self.config.scenario.push_curriculum:
+            push_level = next_level(push_level, scenario, state.step * self._substeps, terminated)
+        scenario = self._renew(scenario, state, ended, push_level, key)
         state = self._told(state, key)
         start = self._begin_anew(state, scenario, key)
         noise_key = jax.random.fold_in(key, _NOISE_KEY)
@@ -248,6 +259,7 @@ class WalkEnv:
         return StepOutcome(
             start=start,
             scenario=scenario,
+            push_level=push_level,
             motion=merge(ended, start.motion, state),
             observation=merge(ended, start.observation, observation),
             final_observation=observation,
@@ -284,12 +296,19 @@ class WalkEnv:
         timed_out = state.step >= self.config.episode_steps
         return timed_out if self.motion.periodic else timed_out | (state.time >= self.samples - 1)
 
-    def _renew(self, scenario: Scenario, state: MotionState, ended: jax.Array, key: jax.Array) -> Scenario:
+    def _renew(
+        self, scenario: Scenario, state: MotionState, ended: jax.Array, level: jax.Array, key: jax.Array
+    ) -> Scenario:
         config = self.config.scenario
         if not config.active:
             return scenario
         scenario_key = jax.random.fold_in(key, _SCENARIO_KEY)
-        return renew_scenario(config, scenario_key, scenario, state.step * self._substeps, ended, self._physics_hz)
+        return renew_scenario(
+            config, scenario_key, scenario, state.step * self._substeps, ended, self._physics_hz, level
+        )
+
+    def _first_level(self, robots: int) -> jax.Array:
+        return jnp.full(robots, LEAST_LEVEL if self.config.scenario.push_curriculum else 1.0)
 
     def _told(self, state: MotionState, key: jax.Array) -> MotionState:
         """The same moment, with the command on its way to a target that may be a new one."""
