@@ -77,6 +77,11 @@ class ScenarioConfig(Checked):
         return math.ceil(self.delay_s * physics_hz - 1e-9)
 
 
+def is_disturbed(config: ScenarioConfig, robots: int) -> jax.Array:
+    """Which of `robots` are not left alone, [robots], bool: always the same, the last of them."""
+    return jnp.arange(robots) >= round(config.undisturbed_share * robots)
+
+
 def draw_scenario(
     config: ScenarioConfig,
     key: jax.Array,
@@ -96,13 +101,12 @@ def draw_scenario(
       level: of the curriculum, [B]: share of `config.push_n` that pushes are drawn up to.
     """
     force_key, direction_key, pause_key, terrain_key, delay_key = jax.random.split(key, 5)
-    alone = round(config.undisturbed_share * robots)
-    disturbed = jnp.arange(robots) >= alone
-    force = disturbed * level * jax.random.uniform(force_key, (robots,), maxval=config.push_n)
+    acts = is_disturbed(config, robots)
+    force = acts * level * jax.random.uniform(force_key, (robots,), maxval=config.push_n)
     angle = jax.random.uniform(direction_key, (robots,), maxval=2 * jnp.pi)
     if config.push_curriculum:
         # Each of the n disturbed robots has an n-th of the circle.
-        angle = (2 * jnp.pi * jnp.arange(robots) + angle) / max(robots - alone, 1)
+        angle = (2 * jnp.pi * jnp.arange(robots) + angle) / jnp.maximum(acts.sum(), 1)
     forward, left = jnp.cos(angle), jnp.sin(angle)
     forward *= jnp.where(forward < 0, config.push_backward, 1)
     # A push starts with a control step: within one, it would cut the physics' calls of all robots in two.
@@ -112,16 +116,16 @@ def draw_scenario(
         push=(force[:, None] * jnp.stack([forward, left, jnp.zeros(robots)], axis=1))[:, None],
         push_start=start,
         push_stop=start + round(PUSH_S * physics_hz),
-        delay=jax.random.randint(delay_key, (robots,), 0, config.delay_steps(physics_hz) + 1) * disturbed,
-        ground=_draw_ground(config, terrain_key, disturbed),
+        delay=jax.random.randint(delay_key, (robots,), 0, config.delay_steps(physics_hz) + 1) * acts,
+        ground=_draw_ground(config, terrain_key, acts),
         kd_scale=jnp.full(robots, kd_scale),
     )
 
 
-def _draw_ground(config: ScenarioConfig, key: jax.Array, disturbed: jax.Array) -> Ground:
-    """One of the kinds of terrain for each `disturbed` [B] robot, at one of nine levels, flat among them."""
-    robots = len(disturbed)
-    level = disturbed * jax.random.randint(key, (robots,), 0, LEVELS + 1) / LEVELS
+def _draw_ground(config: ScenarioConfig, key: jax.Array, acts: jax.Array) -> Ground:
+    """One of the kinds of terrain for each robot that `acts` [B] says, at one of nine levels, flat among them."""
+    robots = len(acts)
+    level = acts * jax.random.randint(key, (robots,), 0, LEVELS + 1) / LEVELS
     kind_key, side_key, seed_key = jax.random.split(jax.random.fold_in(key, 1), 3)
     kinds = config.terrains
     chosen = jax.random.randint(kind_key, (robots,), 0, max(len(kinds), 1))

@@ -18,7 +18,7 @@ from cassie_mjx.control.path import Path, into, out_of
 from cassie_mjx.envs import command, privileged, reward
 from cassie_mjx.envs.command import CommandRange
 from cassie_mjx.envs.config import WalkConfig
-from cassie_mjx.envs.scenario import LEAST_LEVEL, draw_scenario, next_level, renew_scenario
+from cassie_mjx.envs.scenario import LEAST_LEVEL, draw_scenario, is_disturbed, next_level, renew_scenario
 from cassie_mjx.envs.start import draw_offset
 from cassie_mjx.envs.termination import Ends, ends
 from cassie_mjx.envs.types import Start, StartOffset, StepOutcome, WalkState
@@ -247,7 +247,8 @@ class WalkEnv:
         ended = terminated | truncated
         known = self._privileged(state, scenario, lead)
         if self.config.leash_m is not None:
-            state = motions.follow(state, lead, aside, self.config.leash_m)
+            leash_m = jnp.where(is_disturbed(self.config.scenario, len(lead)), self.config.leash_m, jnp.inf)
+            state = motions.follow(state, lead, aside, leash_m)
         if self.config.scenario.push_curriculum:
             push_level = next_level(push_level, scenario, state.step * self._substeps, terminated)
         scenario = self._renew(scenario, state, ended, push_level, key)
