@@ -47,7 +47,7 @@ def onwards(place: Array, way: Array) -> Array:
 
 
 def pursuit(place: Array, heading: Array, ahead: Array) -> Command:
-    """The command to walk on the circle that touches a heading [B], rad, at a place and goes through a point, [B, 2]."""
+    """The command to walk on the circle from a place at a heading [B], rad, through a point [B, 2], m."""
     xp = namespace(place, heading)
     to = turned(ahead - place, -heading)
     # kappa = 2 y / d^2, omega = v kappa

@@ -40,7 +40,7 @@ class TrackRecord:
     def begin(cls, state: PhysicsState, steps: int) -> "TrackRecord":
         """Of robots that begin `steps` control steps."""
         robots = len(state.qpos)
-        places = np.repeat(np.asarray(_place(state.qpos))[:, None], steps + 1, axis=1)
+        places = np.repeat(np.asarray(place_of(state.qpos))[:, None], steps + 1, axis=1)
         return cls(np.zeros(robots, np.int32), np.zeros(robots, bool), places)
 
     @classmethod
@@ -64,12 +64,12 @@ class TrackRecord:
         diverged = ~xp.isfinite(state.qpos).all(axis=1)
         fell = has_fallen(height_over_ground(state.qpos, scenario.ground)) | diverged
         later = np.arange(self.places.shape[1]) >= steps[:, None]
-        places = xp.where(later[..., None], _place(state.qpos)[:, None], self.places)
+        places = xp.where(later[..., None], place_of(state.qpos)[:, None], self.places)
         counted = replace(self, steps=steps, fell=fell)
         return merge(self.finished, self, merge(diverged, counted, replace(counted, places=places)))
 
 
-def _place(qpos: Array) -> Array:
+def place_of(qpos: Array) -> Array:
     """x, y and heading of the pelvis, [B, 3]."""
     heading = yaw(qpos[:, PELVIS_QUATERNION])
     return namespace(qpos).concatenate([qpos[:, PELVIS_POSITION[:2]], heading[:, None]], axis=1)
@@ -95,20 +95,21 @@ def drive(
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
-def velocities(places: np.ndarray) -> np.ndarray:
-    """Forward and lateral velocity, m/s, in the heading frame, and yaw rate, rad/s, in each control step, [B, S, 3].
+def velocities(places: np.ndarray, period_s: float = CONTROL_PERIOD_S) -> np.ndarray:
+    """Forward and lateral velocity, m/s, in the heading frame, and yaw rate, rad/s, from place to place, [B, S, 3].
 
     Args:
-      places: x and y, m, and heading, rad, before and after the steps, [B, S + 1, 3].
+      places: x and y, m, and heading, rad, [B, S + 1, 3].
+      period_s: time from one to the next, s.
     """
     heading = np.unwrap(places[..., 2], axis=1)
     middle = (heading[:, 1:] + heading[:, :-1]) / 2
     way = turned(np.diff(places[..., :2], axis=1), -middle)
-    return np.concatenate([way, np.diff(heading, axis=1)[..., None]], axis=-1) / CONTROL_PERIOD_S
+    return np.concatenate([way, np.diff(heading, axis=1)[..., None]], axis=-1) / period_s
 
 
 def over_strides(velocity: np.ndarray, steps: int) -> np.ndarray:
-    """Means of velocities [B, S, 3] over the last `steps` control steps, [B, S, 3]; infinite before there are so many."""
+    """Means of velocities [B, S, 3] over the last `steps` control steps, [B, S, 3]; infinite before that."""
     sums = np.cumsum(np.insert(velocity, 0, 0.0, axis=1), axis=1)
     means = np.full_like(velocity, np.inf)
     means[:, steps - 1 :] = (sums[:, steps:] - sums[:, :-steps]) / steps
