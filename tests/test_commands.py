@@ -140,8 +140,13 @@ def test_traced_it_walks_as_on_the_host(policy):
     for each in sensed:
         target, carry = agent.step(carry, each, None)
         targets.append(target)
-    seen = Sensed(*(jnp.asarray([each[k] for each in sensed], jnp.float32) for k in range(2)))
-    last, traced = jax.lax.scan(lambda carry, each: agent.step(carry, each, None)[::-1], agent.init(sensed[0]), seen)
+    qpos, qvel = (jnp.asarray([each[k] for each in sensed], jnp.float32) for k in range(2))
+
+    def step(carry, state):
+        target, carry = agent.step(carry, Sensed(*state), None)
+        return carry, target
+
+    last, traced = jax.lax.scan(step, agent.init(sensed[0]), (qpos, qvel))
     np.testing.assert_allclose(traced, np.stack(targets), atol=1e-4)
     np.testing.assert_allclose(last.walk.path.heading, carry.walk.path.heading, atol=1e-5)
     assert np.abs(carry.walk.path.heading).min() > 0.03

@@ -200,7 +200,7 @@ def test_keys_steer_a_policy(clock):
     forward = round(own.forward + 0.1, 1)
     assert live.target == (forward, 0, 0.2)
     # 0.48 s at 0.44 m/s a second and 1.6 rad/s a second.
-    np.testing.assert_allclose(live.command, [forward, 0, 0.2], atol=1e-5)
+    assert live.command == pytest.approx((forward, 0, 0.2), abs=1e-5)
     np.testing.assert_allclose(live._robots.carry.walk.path.heading, 0.2 * 0.44, atol=0.02)
     _, _, names, values = window.texts[-1]
     assert names.splitlines()[:4] == ["time", "target", "command", "velocity"]

@@ -8,7 +8,7 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Iterator
-from itertools import count, repeat
+from itertools import count
 
 import glfw
 import mujoco
@@ -161,7 +161,7 @@ class Live:
 
     def _commands(self) -> Iterator[Command | None]:
         """The targets of the keys, step by step of the agent; None for as long as none was pressed."""
-        for _ in repeat(None):
+        while True:
             target = self.target
             yield None if target is None else Command(*(np.full(1, part, np.float32) for part in target))
 
