@@ -28,7 +28,8 @@ class EvaluateConfig(AgentConfig):
 
     suite: str = "all"
     """"walk", "delay", "terrain", "push", "all" of them, "ground": slopes, steps and rough ground, "map": all pushes in
-    16 directions, or "forces": pushes of 0.1 to 1 s, two pushes, steady forces and random pushes for a minute."""
+    16 directions, "forces": pushes of 0.1 to 1 s, two pushes, steady forces and random pushes for a minute, or
+    "command": how a policy follows forward and lateral velocities and yaw rates."""
     long: bool = False
     """Whether what lasts 10 s is done for 60 s as well; those quantities end in _60s."""
     physics: str = "native"

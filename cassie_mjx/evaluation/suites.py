@@ -1,4 +1,4 @@
-"""The suites: what is asked of every agent, the same on MuJoCo C and on MJX.
+"""The suites: what is asked of every agent, the same on MuJoCo C and on MJX; `command` of single policies alone.
 
 Nothing is drawn at random, and every trial starts from steady walking on the flat, up to which MuJoCo C has walked the
 agent: so the same trial begins in the same state on both engines.
@@ -11,6 +11,7 @@ import numpy as np
 
 from cassie_mjx.agents.make import make_agent
 from cassie_mjx.agents.types import Agent, AgentState
+from cassie_mjx.evaluation.driving import command
 from cassie_mjx.evaluation.pushes import forces, push, push_map
 from cassie_mjx.evaluation.returns import agent_returns
 from cassie_mjx.evaluation.scheduler import LimitSearch, run, run_trials
@@ -162,6 +163,7 @@ SUITES: dict[str, Suite] = {
     "push": push,
     "map": push_map,
     "forces": forces,
+    "command": command,
 }
 ALL = ("walk", "delay", "terrain", "push")
 """What suite=all means: the paper's experiments. The others take several minutes each."""
