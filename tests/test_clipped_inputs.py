@@ -19,11 +19,9 @@ from cassie_mjx.robot.model import ModelConfig
 
 STEPS, ROBOTS = 300, 20
 
-REFERENCE_FORWARD_VELOCITY = 46
-
-# Bounds on the share of the samples in which the worst input of each policy is clipped. Measured: 0, 0, 25.5 % (how far
-# aside pushes have brought it: it does not see beyond 0.64 m), 0.02, 1.3, 3.3 and 0.08 % (joint velocities).
-WORST = {"0x": 0.001, "1x": 0.001, "1x-robust": 0.35, "2x": 0.005, "3x": 0.02, "4x": 0.05, "any": 0.005}
+# Bound on the share of the samples in which the worst input of a policy is clipped. `1x-robust` is older than it: how
+# far aside pushes have brought it is clipped in 25.5 %, for it does not see beyond 0.64 m.
+MOST, MOST_ROBUST = 0.01, 0.35
 
 
 def task(name):
@@ -56,8 +54,4 @@ def clipped_share(name):
 @pytest.mark.parametrize("name", shipped_policies())
 def test_shipped_policies_see_their_tasks(name):
     share = clipped_share(name)
-    # Trained from 1x with its statistics, they see the reference's forward velocity, which is constant, at the bound.
-    if name in ("0x", "2x", "3x", "4x"):
-        assert share[REFERENCE_FORWARD_VELOCITY] == 1
-        share[REFERENCE_FORWARD_VELOCITY] = 0
-    assert share.max() <= WORST[name], (share.argmax(), share.max())
+    assert share.max() <= (MOST_ROBUST if name == "1x-robust" else MOST), (share.argmax(), share.max())
