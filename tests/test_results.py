@@ -77,11 +77,20 @@ def learned_at_other_speeds():
     for variant in ("0x", "2x", "3x", "4x", "any"):
         found = {row["quantity"]: row for row in rows("learning_speeds", variant=variant)}
         samples = found["samples_to_250_plain"]
-        cells = [f"{samples['median'] / 1e3:.0f}" if samples["n"] == samples["runs"] else "-"]
-        for reward in ("plain", "weighted"):
-            end = found[f"return_{reward}"]
-            cells.append(f"{end['iqm']:.1f} ({end['min']:.1f} to {end['max']:.1f})")
-        yield f"| {variant} | {' | '.join(cells)} |"
+        assert samples["n"] == samples["runs"]
+        cells = [
+            str(samples["runs"]),
+            span(samples, 1e3, 0),
+            span(found["return_plain"]),
+            span(found["return_weighted"]),
+        ]
+        yield f"| {' | '.join((variant, *cells))} |"
+
+
+def span(row, unit=1, digits=1):
+    """The mean of a study's row, and the least and greatest of several seeds."""
+    mean, least, greatest = (f"{row[name] / unit:.{digits}f}" for name in ("mean", "min", "max"))
+    return mean if least == greatest else f"{mean} ({least} to {greatest})"
 
 
 def learned_under_disturbances():
