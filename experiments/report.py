@@ -24,7 +24,7 @@ from experiments.tables import agents
 STUDIES = {
     "walking": "Learning to walk",
     "make_train": "The same on two quiet cores",
-    "learning_speeds": "Learning other speeds, and all of them",
+    "learning_speeds": "Learning other speeds",
     "starts": "Starting up to 1.2 m/s off the reference's velocity, and at it",
     "changes": "The beginning of a run, with one change of the default at a time",
     "robust": "Learning under pushes, terrain and delay, and going on with less noise",

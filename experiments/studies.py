@@ -60,7 +60,6 @@ PAPER = {
 }
 DEFAULT = Variant("1x", {}, tuple(range(10)))
 OTHER_SPEEDS = tuple(Variant(speed, {"speed": speed}, (0, 1)) for speed in ("0x", "2x", "3x", "4x"))
-ANY = Variant("any", {"speed": "any", "ppo.iterations": "2400"}, (0,))
 ROBUST = FORMER | {"walk": "robust", "walk.symmetric": "true", "ppo.final_action_std": "0.05"}
 GENTLER = {
     "walk.scenario.push_n": "250",
@@ -102,7 +101,7 @@ LATER |= {f"walk.scenario.{name}": value for name, value in vars(ScenarioConfig(
 STUDIES = {
     "walking": (DEFAULT,),
     "make_train": (replace(DEFAULT, seeds=(0,)),),
-    "learning_speeds": (*OTHER_SPEEDS, ANY),
+    "learning_speeds": OTHER_SPEEDS,
     "starts": (replace(DEFAULT, seeds=(0, 1, 2)), Variant("1x-exact-starts", {"walk.start_velocity_mps": "0"})),
     # One change of the default at a time.
     "changes": (
