@@ -59,7 +59,8 @@ PAPER = {
     CRITIC: "1e-2",
 }
 DEFAULT = Variant("1x", {}, tuple(range(10)))
-OTHER_SPEEDS = tuple(Variant(speed, {"speed": speed}, (0, 1)) for speed in ("0x", "2x", "3x", "4x"))
+SEEDS = {"0x": (0,), "2x": (0, 1), "3x": (0, 1), "4x": (0, 1)}
+OTHER_SPEEDS = tuple(Variant(speed, {"speed": speed}, seeds) for speed, seeds in SEEDS.items())
 ROBUST = FORMER | {"walk": "robust", "walk.symmetric": "true", "ppo.final_action_std": "0.05"}
 GENTLER = {
     "walk.scenario.push_n": "250",
