@@ -164,7 +164,7 @@ def blended():
         found[agent, "terrain_h_m"]["value"] for agent in ("1x", "2x", "blend:1x,2x schedule=adaptive")
     )
     yield f"h = {blend:.2f} m against {first:.2f} and {second:.2f}"
-    alone = [row["value"] for k in range(3) for row in rows(f"evaluate/1x-seed{k}", quantity="terrain_h_m")]
+    alone = [row["value"] for k in range(10) for row in rows(f"evaluate/1x-seed{k}", quantity="terrain_h_m")]
     yield f"1x alone reaches {min(alone):.2f} to {max(alone):.2f}"
 
 
