@@ -82,7 +82,7 @@ EARLY = {
 
 def changed(name: str, settings: Mapping[str, str]) -> Variant:
     """The beginning of a run with something else than the default."""
-    return Variant(f"early-{name}", EARLY | settings)
+    return Variant(f"early-{name}", {**EARLY, **settings})
 
 
 LATER = {"init": None, "ppo.privileged_critic": False, "ppo.final_action_std": None}

@@ -305,7 +305,7 @@ def test_both_engines_draw_and_live_the_same(hills, motion):
 def test_bad_configurations(motion):
     for name in ("push_n", "push_backward", "push_pause_s", "terrain_m", "delay_s"):
         with pytest.raises(ValueError, match=f"{name}=-1 must be from 0 to "):
-            ScenarioConfig(**{name: -1})
+            replace(ScenarioConfig(), **{name: -1})
     for name, value in {
         "push_backward": 1.1,
         "delay_s": 0.2,
@@ -314,6 +314,6 @@ def test_bad_configurations(motion):
         "push_pause_s": 61,
     }.items():
         with pytest.raises(ValueError, match=rf"{name}={value} must be from 0 to [\d.,]+\."):
-            ScenarioConfig(**{name: value})
+            replace(ScenarioConfig(), **{name: value})
     with pytest.raises(ValueError, match=r"delay_s=0.01 is 10 physics steps; this engine was made for 0 to 0\."):
         make(NativePhysics(load_model(MODEL)), motion, ScenarioConfig(delay_s=0.01))

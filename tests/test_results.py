@@ -87,7 +87,7 @@ def learned_at_other_speeds():
         yield f"| {' | '.join((variant, *cells))} |"
 
 
-def span(row, unit=1, digits=1):
+def span(row, unit=1.0, digits=1):
     """The mean of a study's row, and the least and greatest of several seeds."""
     mean, least, greatest = (f"{row[name] / unit:.{digits}f}" for name in ("mean", "min", "max"))
     return mean if least == greatest else f"{mean} ({least} to {greatest})"

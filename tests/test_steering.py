@@ -156,7 +156,7 @@ def test_a_robot_on_the_circle_is_rewarded_and_sees_as_straight_ahead(motion):
     key, sensing = jax.random.key(0), bent.sensing
     after = motions.tick(env.motion, moment)
     qpos, qvel = map(jnp.asarray, out_of(after.path, *motions.reference(env.motion, after)))
-    outcome = env._post_physics(moment, sensing, bent.scenario, qpos, qvel, qpos, qvel, key)
+    outcome = env._post_physics(moment, sensing, bent.push_level, bent.scenario, qpos, qvel, qpos, qvel, key)
     np.testing.assert_allclose(outcome.metrics["weighted"], 1, atol=1e-5)
     np.testing.assert_allclose(outcome.final_privileged, 0, atol=1e-4)
     moment = motions.tick(env.motion, straight.motion)
