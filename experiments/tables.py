@@ -115,7 +115,7 @@ def summary(folder: Path) -> Table:
     interval = f" [95% interval, from {FEWEST} seeds on]" if most >= FEWEST else ""
     note = (
         f"MuJoCo C at 2 kHz; policies: interquartile mean over training seeds{interval} (least to greatest). "
-        "`stiff` is hand-made. The paper does not say at which phase of the stride it pushed."
+        "`stiff` is hand-made."
     )
     return Table(header, rows, [note])
 
