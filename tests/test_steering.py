@@ -13,7 +13,6 @@ from tiny import config, session
 from cassie_mjx.agents.controller import Controller
 from cassie_mjx.agents.make import make_policy_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
-from cassie_mjx.agents.shipped import shipped_policies
 from cassie_mjx.agents.types import Sensed
 from cassie_mjx.control import command as motions
 from cassie_mjx.control.command import MotionState
