@@ -13,6 +13,7 @@ from tiny import config, session
 from cassie_mjx.agents.controller import Controller
 from cassie_mjx.agents.make import make_policy_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
+from cassie_mjx.agents.shipped import shipped_policies
 from cassie_mjx.agents.types import Sensed
 from cassie_mjx.control import command as motions
 from cassie_mjx.control.command import MotionState
@@ -305,6 +306,7 @@ def test_a_run_steers_and_its_policy_says_so(tmp_path):
     assert saved.commands is not None
     np.testing.assert_allclose(saved.commands, [[-0.7, 2.8], [-0.4, 0.4], [-0.8, 0.8]], atol=1e-6)
     assert saved.speed == 1
+    assert NumpyPolicy.load(shipped_policies()["1x-robust"]).commands is None, "of before files said so"
     assert config(None, run_dir=None, command="joystick").folder.name == "joystick-seed0"
     with pytest.raises(ValueError, match="command=joystick commands the speed too; leave out speed=2x"):
         config(tmp_path, command="joystick", speed="2x")
