@@ -100,7 +100,8 @@ def test_a_level_rises_with_a_push_that_is_over_and_drops_with_a_fall():
     present = replace(Scenario.nominal(4), push_stop=np.full((4, 1), 100, np.int32))
     level, step = jnp.array([0.5, 0.5, 0.12, 0.995]), np.array([99, 100, 99, 100])
     fallen = np.array([False, False, True, False])
-    np.testing.assert_allclose(next_level(level, present, step, fallen), [0.5, 0.51, 0.1, 1.0], rtol=1e-6)
+    curriculum = ScenarioConfig(push_curriculum=True)
+    np.testing.assert_allclose(next_level(curriculum, level, present, step, fallen), [0.5, 0.51, 0.1, 1.0], rtol=1e-6)
     # Four pushes borne and one not: the level is where it was.
     np.testing.assert_allclose(4 * LEVEL_UP, LEVEL_DOWN)
 

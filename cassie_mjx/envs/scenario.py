@@ -142,15 +142,23 @@ def _draw_ground(config: ScenarioConfig, key: jax.Array, acts: jax.Array) -> Gro
     )
 
 
-def next_level(level: Array, present: Scenario, step: Array, fallen: Array) -> Array:
+def first_level(config: ScenarioConfig, robots: int) -> jax.Array:
+    """The levels of the curriculum that training begins with, [robots]; 1 without one."""
+    return jnp.full(robots, LEAST_LEVEL if config.push_curriculum else 1.0)
+
+
+def next_level(config: ScenarioConfig, level: jax.Array, present: Scenario, step: Array, fallen: Array) -> jax.Array:
     """The levels [B] of the curriculum after a control step: higher where a push is over, lower where robots fell.
 
     Args:
+      config: whether there is a curriculum.
       level: before, [B].
       present: what acted until now.
       step: physics steps since the start of the episode, [B].
       fallen: [B], bool.
     """
+    if not config.push_curriculum:
+        return level
     over = present.push_stop[:, 0] <= step
     return jnp.clip(level + LEVEL_UP * over - LEVEL_DOWN * fallen, LEAST_LEVEL, 1)
 

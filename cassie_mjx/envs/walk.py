@@ -18,7 +18,7 @@ from cassie_mjx.control.path import Path, into, out_of
 from cassie_mjx.envs import command, privileged, reward
 from cassie_mjx.envs.command import CommandRange
 from cassie_mjx.envs.config import WalkConfig
-from cassie_mjx.envs.scenario import LEAST_LEVEL, draw_scenario, is_disturbed, next_level, renew_scenario
+from cassie_mjx.envs.scenario import draw_scenario, first_level, is_disturbed, next_level, renew_scenario
 from cassie_mjx.envs.start import draw_offset
 from cassie_mjx.envs.termination import Ends, ends
 from cassie_mjx.envs.types import Start, StartOffset, StepOutcome, WalkState
@@ -94,7 +94,7 @@ class WalkEnv:
                 self.robots,
                 self._physics_hz,
                 self.config.kd_scale,
-                self._first_level(self.robots),
+                first_level(self.config.scenario, self.robots),
             )
         return self.reset_at(time, scenario, told, offset, key)
 
@@ -129,7 +129,7 @@ class WalkEnv:
             scenario=to_backend(physics, scenario),
             motion=start.motion,
             sensing=start.sensing,
-            push_level=self._first_level(robots),
+            push_level=first_level(self.config.scenario, robots),
             observation=start.observation,
             final_observation=start.observation,
             privileged=start.privileged,
@@ -246,12 +246,8 @@ class WalkEnv:
         truncated = ~terminated & self._is_last(state)
         ended = terminated | truncated
         known = self._privileged(state, scenario, lead)
-        if self.config.leash_m is not None:
-            leash_m = jnp.where(is_disturbed(self.config.scenario, len(lead)), self.config.leash_m, jnp.inf)
-            state = motions.follow(state, lead, aside, leash_m)
-        if self.config.scenario.push_curriculum:
-            push_level = next_level(push_level, scenario, state.step * self._substeps, terminated)
-        scenario = self._renew(scenario, state, ended, push_level, key)
+        state = self._leashed(state, lead, aside)
+        scenario, push_level = self._renew(scenario, push_level, state, terminated, truncated, key)
         state = self._told(state, key)
         start = self._begin_anew(state, scenario, key)
         noise_key = jax.random.fold_in(key, _NOISE_KEY)
@@ -297,19 +293,30 @@ class WalkEnv:
         timed_out = state.step >= self.config.episode_steps
         return timed_out if self.motion.periodic else timed_out | (state.time >= self.samples - 1)
 
-    def _renew(
-        self, scenario: Scenario, state: MotionState, ended: jax.Array, level: jax.Array, key: jax.Array
-    ) -> Scenario:
-        config = self.config.scenario
-        if not config.active:
-            return scenario
-        scenario_key = jax.random.fold_in(key, _SCENARIO_KEY)
-        return renew_scenario(
-            config, scenario_key, scenario, state.step * self._substeps, ended, self._physics_hz, level
-        )
+    def _leashed(self, state: MotionState, lead: jax.Array, aside: jax.Array) -> MotionState:
+        """The same moment, with the reference within the leash of disturbed robots; see `motions.follow`."""
+        if self.config.leash_m is None:
+            return state
+        leash_m = jnp.where(is_disturbed(self.config.scenario, len(lead)), self.config.leash_m, jnp.inf)
+        return motions.follow(state, lead, aside, leash_m)
 
-    def _first_level(self, robots: int) -> jax.Array:
-        return jnp.full(robots, LEAST_LEVEL if self.config.scenario.push_curriculum else 1.0)
+    def _renew(
+        self,
+        scenario: Scenario,
+        level: jax.Array,
+        state: MotionState,
+        terminated: jax.Array,
+        truncated: jax.Array,
+        key: jax.Array,
+    ) -> tuple[Scenario, jax.Array]:
+        """What acts on robots from now on, and their levels of the curriculum."""
+        config, step = self.config.scenario, state.step * self._substeps
+        if not config.active:
+            return scenario, level
+        level = next_level(config, level, scenario, step, terminated)
+        scenario_key = jax.random.fold_in(key, _SCENARIO_KEY)
+        ended = terminated | truncated
+        return renew_scenario(config, scenario_key, scenario, step, ended, self._physics_hz, level), level
 
     def _told(self, state: MotionState, key: jax.Array) -> MotionState:
         """The same moment, with the command on its way to a target that may be a new one."""
