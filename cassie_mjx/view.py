@@ -1,4 +1,4 @@
-"""A walk to push about in: `python -m cassie_mjx.view policy=1x` opens MuJoCo's interactive viewer."""
+"""A walk to steer and to push about: `python -m cassie_mjx.view policy=any` opens MuJoCo's interactive viewer."""
 
 import sys
 from contextlib import suppress
@@ -9,7 +9,7 @@ import mujoco.viewer
 
 from cassie_mjx import cli
 from cassie_mjx.agents.make import AgentConfig
-from cassie_mjx.evaluation.viewer import Live, check_screen, keep_showing
+from cassie_mjx.evaluation.viewer import Live, check_screen, keep_showing, steerable
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.ground import parse_terrain
 
@@ -32,9 +32,11 @@ def main(config: ViewConfig) -> None:
     """Open the viewer, and walk until its window is closed or Ctrl-C is typed."""
     if sys.platform != "darwin":
         check_screen()
-    live = Live(config.agent(), parse_terrain(config.terrain))
+    live = Live(steerable(config.agent()), parse_terrain(config.terrain))
     try:
-        window = mujoco.viewer.launch_passive(live.model, live.data, show_left_ui=False, show_right_ui=False)
+        window = mujoco.viewer.launch_passive(
+            live.model, live.data, key_callback=live.keys.append, show_left_ui=False, show_right_ui=False
+        )
     except RuntimeError as error:
         raise ValueError(f"The viewer does not start: {error}; on macOS use mjpython in place of python.") from error
     with window as viewer, suppress(KeyboardInterrupt):

@@ -22,18 +22,13 @@ from experiments.pages import block, readme_block, with_block
 from experiments.tables import agents
 
 STUDIES = {
-    "walking": "Learning to walk, with the default of the policies that ship",
+    "walking": "Learning to walk",
     "make_train": "The same on two quiet cores",
-    "default": "Learning to walk, with the present default",
-    "default_speeds": "Learning other speeds from scratch, with the present default",
-    "default_steps": "From the former default to the present one, a step at a time",
-    "starts": "Starting up to 0.5 m/s off the reference's velocity, and at it",
-    "reward": "Learning from the weighted reward, and from the plain one",
-    "rate": "Learning with physics at 500 Hz, and at 1 kHz",
-    "learning_speeds": "Learning other speeds from the 1x policy, and all of them from scratch",
+    "learning_speeds": "Learning other speeds",
+    "starts": "Starting up to 1.2 m/s off the reference's velocity, and at it",
+    "changes": "The beginning of a run, with one change of the default at a time",
     "robust": "Learning under pushes, terrain and delay, and going on with less noise",
     "symmetry": "Learning under disturbances: one step of the stride, the other as in a mirror, and both",
-    "warm_start": "Learning 4x from the 1x policy, and from scratch",
     "paper": "The paper's learner as printed, and readings that differ in one point",
 }
 """Studies of `experiments.learning`, and what they are about."""

@@ -14,7 +14,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cassie_mjx import cli
-from cassie_mjx.agents import blending
 from cassie_mjx.agents.make import make_policy_agent
 from cassie_mjx.agents.policy import PolicyAgent
 from cassie_mjx.agents.types import AgentState, Sensed
@@ -97,7 +96,7 @@ def single_speeds(config: SpeedsConfig) -> list[tuple[dict[str, Any], PolicyAgen
 
 def keep(policy: PolicyAgent) -> list[dict[str, Any]]:
     """Figures of ten walks of 10 s at the policy's speed, the reference's own speed among them."""
-    commanded = Metric("commanded_mps", blending.mean_speed(policy.motion), "m/s", len(WALK_PHASES))
+    commanded = Metric("commanded_mps", float(mean_speed(policy.motion)), "m/s", len(WALK_PHASES))
     return [figure._asdict() for figure in (commanded, *suites.walk(policy, EvalSetup()).metrics)]
 
 

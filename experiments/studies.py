@@ -39,14 +39,12 @@ FORMER = {
     "ppo.updates_per_iteration": "40",
     "ppo.iterations": "300",
     "evaluate_every": "10",
-    "ppo.final_action_std": "0.1",
     "ppo.actor_schedule": "constant",
     "ppo.learning_rate_floor": "0.1",
     "walk.start_velocity_mps": "0.5",
-    "walk.symmetric": "false",
 }
-"""The defaults until November 2026. The runs drew starts evenly up to 0.5 m/s and did not move them back by what they
-gain, which no setting does now."""
+"""What the runs under disturbances still have of the defaults until November 2026. They drew starts evenly up to 0.5
+m/s, did not move them back by what they gain, and began as the 1x policy of that time: no setting does either now."""
 
 ACTOR, CRITIC = "ppo.actor_learning_rate", "ppo.critic_learning_rate"
 PAPER = {
@@ -60,7 +58,9 @@ PAPER = {
     ACTOR: "1e-3",
     CRITIC: "1e-2",
 }
-DEFAULT = Variant("1x", FORMER)
+DEFAULT = Variant("1x", {}, tuple(range(10)))
+SEEDS = {"0x": (0,), "2x": (0, 1), "3x": (0, 1), "4x": (0, 1)}
+OTHER_SPEEDS = tuple(Variant(speed, {"speed": speed}, seeds) for speed, seeds in SEEDS.items())
 ROBUST = FORMER | {"walk": "robust", "walk.symmetric": "true", "ppo.final_action_std": "0.05"}
 GENTLER = {
     "walk.scenario.push_n": "250",
@@ -69,14 +69,21 @@ GENTLER = {
     "ppo.iterations": "750",
 }
 ROBUST_FIRST = Variant("1x-robust-first", ROBUST | {"init": "1x", "ppo.iterations": "600"})
-OTHER_SPEEDS = tuple(Variant(speed, FORMER | {"speed": speed, "init": "1x"}) for speed in ("0x", "2x", "3x", "4x"))
-MIRRORED = FORMER | {"walk.symmetric": "true"}
-SHORT = MIRRORED | {
-    "ppo.num_steps": "8",
-    "ppo.updates_per_iteration": "10",
-    "ppo.iterations": "1200",
-    "evaluate_every": "40",
+
+EARLY = {
+    "ppo.iterations": "320",
+    "evaluate_every": "10",
+    "ppo.actor_schedule": "constant",
+    "ppo.critic_schedule": "constant",
+    "ppo.final_action_std": "0.11",
 }
+"""The beginning of a run: its noise, and steps of the size that the default holds for a third of a run."""
+
+
+def changed(name: str, settings: Mapping[str, str]) -> Variant:
+    """The beginning of a run with something else than the default."""
+    return Variant(f"early-{name}", {**EARLY, **settings})
+
 
 LATER = {"init": None, "ppo.privileged_critic": False, "ppo.final_action_std": None}
 LATER |= {
@@ -94,23 +101,33 @@ LATER |= {f"walk.scenario.{name}": value for name, value in vars(ScenarioConfig(
 """How runs were trained whose configuration does not name these yet."""
 
 STUDIES = {
-    # The policies that ship were trained with the former default: these studies are about them.
-    "walking": (replace(DEFAULT, seeds=(0, 1, 2, 3, 4)),),
+    "walking": (DEFAULT,),
     "make_train": (replace(DEFAULT, seeds=(0,)),),
-    "starts": (DEFAULT, Variant("1x-exact-starts", FORMER | {"walk.start_velocity_mps": "0"})),
-    "reward": (DEFAULT, Variant("1x-plain", FORMER | {"walk.reward": "plain"})),
-    "rate": (DEFAULT, Variant("1x-1000hz", FORMER | {"physics_hz": "1000"}, (0,))),
-    "learning_speeds": (
-        *OTHER_SPEEDS,
-        # From scratch: the input statistics of 1x would clip a reference velocity beyond 1.3 m/s.
-        Variant("any-first", FORMER | {"speed": "any", "ppo.iterations": "600"}, (0,)),
-        Variant("any", FORMER | {"speed": "any", "init": "{runs}/any-first-seed{seed}"}, (0,)),
+    "learning_speeds": OTHER_SPEEDS,
+    "starts": (replace(DEFAULT, seeds=(0, 1, 2)), Variant("1x-exact-starts", {"walk.start_velocity_mps": "0"})),
+    # One change of the default at a time.
+    "changes": (
+        changed("default", {}),
+        changed("both-steps", {"walk.symmetric": "false"}),
+        changed("exact-starts", {"walk.start_velocity_mps": "0"}),
+        changed("plain-reward", {"walk.reward": "plain"}),
+        changed("1000hz", {"physics_hz": "1000"}),
+        changed(
+            "long-rollouts",
+            {
+                "ppo.num_steps": "32",
+                "ppo.updates_per_iteration": "40",
+                "ppo.iterations": "80",
+                "evaluate_every": "3",
+            },
+        ),
+        changed("larger-steps", {ACTOR: "6e-4"}),
+        changed("larger-kl", {"ppo.target_kl": "0.1"}),
+        changed("more-updates", {"ppo.updates_per_iteration": "20"}),
+        changed("fewer-updates", {"ppo.updates_per_iteration": "5"}),
+        changed("more-noise", {"ppo.action_std": "0.2", "ppo.final_action_std": "0.16"}),
+        changed("lambda-0.9", {"ppo.gae_lambda": "0.9"}),
     ),
-    "warm_start": (OTHER_SPEEDS[-1], Variant("4x-from-scratch", FORMER | {"speed": "4x"}, (0,))),
-    "default": (Variant("1x-default", {}, (0, 1, 2, 3, 4)),),
-    "default_speeds": tuple(Variant(f"{speed}-default", {"speed": speed}, (0,)) for speed in ("0x", "2x", "3x", "4x")),
-    # From the former default to the present one, a step at a time.
-    "default_steps": (DEFAULT, Variant("1x-mirrored", MIRRORED), Variant("1x-short-rollouts", SHORT)),
     "robust": (
         ROBUST_FIRST,
         Variant("1x-robust", ROBUST | GENTLER | {"init": "{runs}/1x-robust-first-seed{seed}"}),

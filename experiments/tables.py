@@ -104,18 +104,18 @@ SUMMARY = (
 def summary(folder: Path) -> Table:
     """The best known experiments of the paper, beside the controller that bears most and the policies."""
     measured = [each for each in agents(folder) if each[0] in ("stiff", "1x", "1x-robust")]
-    names = (f"`{agent}`" for agent, _ in measured)
+    names = (f"`{agent}`" + (f", {len(found)} seeds" if len(found) > 1 else "") for agent, found in measured)
     header = ("", "paper: controller", "paper: policy", *names, "`evaluate`")
     rows = [
         (row.experiment, row.paper_controller, row.paper_policy, *values, f"suite={row.suite}")
         for row, values in _cells(measured).items()
         if row.experiment in SUMMARY
     ]
-    seeds = max((len(results) for _, results in measured), default=0)
-    interval = " [95% interval]" if seeds >= FEWEST else ""
+    most = max((len(results) for _, results in measured), default=0)
+    interval = f" [95% interval, from {FEWEST} seeds on]" if most >= FEWEST else ""
     note = (
-        f"MuJoCo C at 2 kHz; policies: interquartile mean of {seeds} training seeds{interval} (least to greatest). "
-        "`stiff` is hand-made. The paper does not say at which phase of the stride it pushed."
+        f"MuJoCo C at 2 kHz; policies: interquartile mean over training seeds{interval} (least to greatest). "
+        "`stiff` is hand-made."
     )
     return Table(header, rows, [note])
 

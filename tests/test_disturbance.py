@@ -9,7 +9,7 @@ import pytest
 
 from cassie_mjx.envs import reward
 from cassie_mjx.envs.config import WalkConfig
-from cassie_mjx.envs.scenario import ScenarioConfig, draw_scenario, renew_scenario
+from cassie_mjx.envs.scenario import LEVEL_DOWN, LEVEL_UP, ScenarioConfig, draw_scenario, next_level, renew_scenario
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import sample
@@ -72,6 +72,53 @@ def test_the_backward_part_of_pushes_can_be_less():
     full = draw_scenario(ALL, jax.random.key(0), 1000, HZ).push
     weak = draw_scenario(replace(ALL, push_backward=0.7), jax.random.key(0), 1000, HZ).push
     np.testing.assert_allclose(weak, np.where((full < 0) & (np.arange(3) == 0), 0.7 * full, full), rtol=1e-5)
+
+
+def test_a_share_of_the_robots_can_be_left_alone():
+    drawn = draw_scenario(replace(ALL, undisturbed_share=0.25), jax.random.key(0), 1000, HZ)
+    disturbed = np.stack([drawn.push.any(axis=(1, 2)), drawn.ground.uneven, drawn.delay > 0])
+    assert not disturbed[:, :250].any()
+    assert (disturbed[:, 250:].mean(axis=1) > 0.8).all()
+    full = draw_scenario(ALL, jax.random.key(0), 1000, HZ)
+    assert_same(drawn.push[250:], full.push[250:])
+
+
+def test_a_curriculum_pushes_each_robot_in_a_direction_and_up_to_a_level_of_its_own():
+    config = replace(ALL, push_curriculum=True, undisturbed_share=0.5)
+    level = jnp.tile(jnp.array([0.1, 1.0]), 8)
+    keys = jax.random.split(jax.random.key(0), 500)
+    push = np.asarray(jax.vmap(lambda key: draw_scenario(config, key, 16, HZ, level=level).push[:, 0])(keys))
+    force, angle = np.hypot(push[..., 0], push[..., 1])[:, 8:], np.arctan2(push[..., 1], push[..., 0])[:, 8:]
+    assert not push[:, :8].any()
+    np.testing.assert_allclose(force.max(axis=0), np.tile([20, 200], 4), rtol=0.02)
+    # The eight that are disturbed have an eighth of the circle each.
+    eighth = np.floor(angle / (np.pi / 4)).astype(int) % 8
+    np.testing.assert_array_equal(eighth, np.tile(np.arange(8), (500, 1)))
+
+
+def test_a_level_rises_with_a_push_that_is_over_and_drops_with_a_fall():
+    present = replace(Scenario.nominal(4), push_stop=np.full((4, 1), 100, np.int32))
+    level, step = jnp.array([0.5, 0.5, 0.12, 0.995]), np.array([99, 100, 99, 100])
+    fallen = np.array([False, False, True, False])
+    curriculum = ScenarioConfig(push_curriculum=True)
+    np.testing.assert_allclose(next_level(curriculum, level, present, step, fallen), [0.5, 0.51, 0.1, 1.0], rtol=1e-6)
+    # Four pushes borne and one not: the level is where it was.
+    np.testing.assert_allclose(4 * LEVEL_UP, LEVEL_DOWN)
+
+
+def test_robots_carry_their_level_from_episode_to_episode(hills, motion):
+    config = ScenarioConfig(push_n=600, push_pause_s=0.0, push_curriculum=True)
+    env = make(hills, motion, config, min_reward=None, max_position_error_m=None)
+    state, levels = env.reset(jax.random.key(0)), []
+    falls = np.zeros(ROBOTS)
+    for i in range(60):
+        state = env.step(state, NO_ACTION, jax.random.key(i))
+        falls += np.asarray(state.terminated)
+        levels.append(np.asarray(state.push_level))
+    assert (falls > 0).all()
+    assert (levels[6] == np.float32(0.11)).all(), "0.2 s are 6.25 control steps"
+    assert np.abs(np.diff(levels, axis=0)).max() <= 0.04 + 1e-6
+    assert (levels[-1] < 0.2).all()
 
 
 @pytest.mark.parametrize("name", ["push_n", "terrain_m", "delay_s"])
@@ -259,7 +306,7 @@ def test_both_engines_draw_and_live_the_same(hills, motion):
 def test_bad_configurations(motion):
     for name in ("push_n", "push_backward", "push_pause_s", "terrain_m", "delay_s"):
         with pytest.raises(ValueError, match=f"{name}=-1 must be from 0 to "):
-            ScenarioConfig(**{name: -1})
+            replace(ScenarioConfig(), **{name: -1})
     for name, value in {
         "push_backward": 1.1,
         "delay_s": 0.2,
@@ -268,7 +315,7 @@ def test_bad_configurations(motion):
         "push_pause_s": 61,
     }.items():
         with pytest.raises(ValueError, match=rf"{name}={value} must be from 0 to [\d.,]+\."):
-            ScenarioConfig(**{name: value})
+            replace(ScenarioConfig(), **{name: value})
     with pytest.raises(
         ValueError, match=r"delay_s=0.01 with dynamics=none is up to 10 physics steps; .* made for 0 to 0\."
     ):

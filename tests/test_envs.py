@@ -12,6 +12,7 @@ from cassie_mjx.control import command as control_command
 from cassie_mjx.control import command as motions
 from cassie_mjx.envs import command, reward
 from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.envs.scenario import ScenarioConfig
 from cassie_mjx.envs.termination import Ends
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.files import load_motion
@@ -271,8 +272,9 @@ def test_the_path_waits_for_robots_on_a_leash(native, motion):
     free = WalkConfig(min_reward=None, max_position_error_m=None, start_velocity_mps=0)
     moved = np.array([-1.0, -0.2, 0.0, 0.25, 0.9])
     leads = []
-    for leash_m in (None, 0.3):
-        env = WalkEnv(native, motion, replace(free, leash_m=leash_m), 5)
+    for leash_m, share in ((None, 0.0), (0.3, 0.0), (0.3, 0.4)):
+        config = replace(free, leash_m=leash_m, scenario=ScenarioConfig(undisturbed_share=share))
+        env = WalkEnv(native, motion, config, 5)
         state = env.reset_at(np.zeros(5, np.int32), Scenario.nominal(5))
         state.physics.qpos[:, 0] += moved
         after = env.step(state, np.zeros((5, 10)), jax.random.key(0))
@@ -281,6 +283,7 @@ def test_the_path_waits_for_robots_on_a_leash(native, motion):
         leads.append(after.physics.qpos[:, 0] - np.asarray(reference)[:, 0])
     np.testing.assert_allclose(leads[0], moved, atol=0.02)
     np.testing.assert_allclose(leads[1], np.clip(leads[0], -0.3, 0.3), atol=1e-6)
+    np.testing.assert_allclose(leads[2], [*leads[0][:2], *leads[1][2:]], atol=1e-6)
 
 
 def test_a_nan_ends_its_episode_and_is_counted(env):

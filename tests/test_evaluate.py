@@ -45,9 +45,15 @@ def test_cells_and_the_policys_own_provenance_go_to_the_file(tmp_path, monkeypat
 @pytest.mark.parametrize(
     ("argument", "sentence"),
     [
-        ("suite=jump", "suite=jump is not known; choose one of walk, delay, terrain, ground, push, map, forces, all"),
+        (
+            "suite=jump",
+            "suite=jump is not known; choose one of walk, delay, terrain, ground, push, map, forces, command, all",
+        ),
         ("physics=warp", "physics=warp is not known; choose one of native, mjx"),
-        ("velocity=2", "'velocity' is not a key; the keys are policy, speed, schedule, suite, long, physics, out"),
+        (
+            "velocity=2",
+            "'velocity' is not a key; the keys are policy, speed, schedule, command, suite, long, ",
+        ),
     ],
 )
 def test_bad_input_gets_one_sentence(argument, sentence):

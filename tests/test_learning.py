@@ -163,7 +163,7 @@ def test_a_run_can_go_on_from_the_one_of_its_seed_in_a_task_of_its_own():
 
 
 def test_an_unknown_study_is_refused():
-    known = "walking, make_train, starts, reward, rate, .*, paper"
+    known = "walking, make_train, learning_speeds, starts, changes, .*, paper"
     with pytest.raises(ValueError, match=f"study=song is not known; choose one of {known}"):
         LearningConfig("song")
 

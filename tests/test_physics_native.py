@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from cassie_mjx.physics import native
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Scenario, delayed
 from cassie_mjx.robot import cassie
@@ -187,6 +188,23 @@ def test_each_robot_has_its_own_terrain(standing_qpos):
         for _ in range(400):
             mujoco.mj_step(servo, data)
         np.testing.assert_allclose(moved.qpos[i], data.qpos, atol=1e-12)
+
+
+def test_grounds_that_come_back_are_not_made_again(monkeypatch, standing_qpos):
+    physics, made = NativePhysics(load_model(ModelConfig(scene="terrain"))), []
+    monkeypatch.setattr(native, "set_terrain", lambda model, ground: made.append(ground.sine))
+    state, targets = start(physics, standing_qpos, 1)
+
+    def walk_over(*heights):
+        for height in heights:
+            ground = Ground.of([Terrain("sine", height)])
+            physics.advance(state, targets, Scenario.nominal(1, ground=ground), 1)
+
+    walk_over(0.1, 0.2, 0.1, 0.2)
+    assert made == [0.1, 0.2]
+    monkeypatch.setattr(native, "MOST_MODELS", 2)
+    walk_over(0.3, 0.2)
+    assert made == [0.1, 0.2, 0.3, 0.2], "where there is no room, those in use alone are kept"
 
 
 def test_bodies_are_those_of_mujoco(model, standing_qpos):

@@ -158,7 +158,7 @@ def test_the_command_says_how_it_went(drawing, tmp_path, monkeypatch, capsys, ho
     out = tmp_path / "a.gif"
     arguments = [f"out={out}", "width=32", "height=32", "fps=10", "seconds=0.8", "push=20,0", "push_at=0.1"]
     render.main(cli.parse(RenderConfig, ["policy=blend:1x,2x", "schedule=ramp", *arguments]))
-    assert asked == [("blend:1x,2x", None, "ramp")]
+    assert asked == [("blend:1x,2x", None, "ramp", None)]
     assert end in " ".join(capsys.readouterr().err.split())
     assert len(imageio.imread(out, index=None)) == 8
 

@@ -161,7 +161,7 @@ def test_what_was_not_measured_is_named_and_never_shown(everything, tmp_path):
     empty.mkdir()
     assert tables.beside_the_paper(empty).rows == []
     assert tables.speeds_and_blends(empty) is None
-    assert whole_page(empty).count("Not measured yet. ") == 22
+    assert whole_page(empty).count("Not measured yet. ") == 17
 
 
 def test_speeds_and_blends(everything):

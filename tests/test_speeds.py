@@ -10,6 +10,7 @@ from cassie_mjx.agents.make import make_policy_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy import PolicyAgent, policy_step
 from cassie_mjx.agents.shipped import shipped_policies
+from cassie_mjx.evaluation.setup import SuiteResult
 from experiments import interpolation, speeds, studies
 from experiments.interpolation import InterpolationConfig, Ride, draw
 from experiments.speeds import SpeedsConfig, follow, profile
@@ -116,6 +117,14 @@ def test_the_file_says_which_policies_were_blended(tmp_path, monkeypatch):
     assert list(content["rides"]) == ["blend:1x,1x schedule=ramp", "blend:1x,1x,1x,1x,1x schedule=ramp"]
     policy = NumpyPolicy.load(shipped_policies()["1x"])
     assert content["provenance"]["agent"] == {"1x": policy.provenance}
+
+
+def test_a_policy_keeps_the_speed_of_its_own_motion(monkeypatch):
+    monkeypatch.setattr(speeds.suites, "walk", lambda policy, setup: SuiteResult([]))
+    (commanded,) = speeds.keep(make_policy_agent("2x"))
+    # Two strides of 0.5 m in 0.704 s.
+    assert commanded["quantity"] == "commanded_mps"
+    assert commanded["value"] == pytest.approx(1.0 / 0.704, rel=1e-3)
 
 
 def test_the_profile_jumps_every_two_seconds_for_a_minute():

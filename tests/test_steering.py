@@ -156,7 +156,7 @@ def test_a_robot_on_the_circle_is_rewarded_and_sees_as_straight_ahead(motion):
     key, sensing = jax.random.key(0), bent.sensing
     after = motions.tick(env.motion, moment)
     qpos, qvel = map(jnp.asarray, out_of(after.path, *motions.reference(env.motion, after)))
-    outcome = env._post_physics(moment, sensing, bent.scenario, qpos, qvel, qpos, qvel, key)
+    outcome = env._post_physics(moment, sensing, bent.push_level, bent.scenario, qpos, qvel, qpos, qvel, key)
     np.testing.assert_allclose(outcome.metrics["weighted"], 1, atol=1e-5)
     np.testing.assert_allclose(outcome.final_privileged, 0, atol=1e-4)
     moment = motions.tick(env.motion, straight.motion)
@@ -306,7 +306,7 @@ def test_a_run_steers_and_its_policy_says_so(tmp_path):
     assert saved.commands is not None
     np.testing.assert_allclose(saved.commands, [[-0.7, 2.8], [-0.4, 0.4], [-0.8, 0.8]], atol=1e-6)
     assert saved.speed == 1
-    assert NumpyPolicy.load(shipped_policies()["1x"]).commands is None, "of before files said so"
+    assert NumpyPolicy.load(shipped_policies()["1x-robust"]).commands is None, "of before files said so"
     assert config(None, run_dir=None, command="joystick").folder.name == "joystick-seed0"
     with pytest.raises(ValueError, match="command=joystick commands the speed too; leave out speed=2x"):
         config(tmp_path, command="joystick", speed="2x")

@@ -10,9 +10,11 @@ from cassie_mjx.agents.heuristic import CONTROLLER_PREFIX, HeuristicAgent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy import PolicyAgent, saved_agent
 from cassie_mjx.agents.shipped import policy_path, shipped_policies
+from cassie_mjx.agents.steered import SteeredAgent
 from cassie_mjx.agents.types import Agent
 from cassie_mjx.configuration.values import Checked
 from cassie_mjx.heuristic.config import CONTROLLERS
+from cassie_mjx.motion.schedule import parse_schedule
 
 
 @dataclass(frozen=True)
@@ -28,13 +30,16 @@ class AgentConfig(Checked):
     """Commanded speed of a policy, such as "2.5x"; null for its own, 1x if it was trained at any."""
     schedule: str | None = None
     """How a blend changes: "ramp", to its last policy and back in time, or "adaptive", against the loss of speed."""
+    command: str | None = None
+    """Commanded forward and lateral velocity, m/s, and yaw rate, rad/s, of a policy, left positive: "0.7,0,0.5", or
+    "1.4" straight ahead; "0:1,0,0 5:1,0,0.5" from 0 s and from 5 s on, or a file of such lines. Not with speed."""
 
     def agent(self) -> Agent:
         """The agent of these names; see `make_agent`."""
-        return make_agent(self.policy, self.speed, self.schedule)
+        return make_agent(self.policy, self.speed, self.schedule, self.command)
 
 
-def make_agent(name: str, speed: str | None = None, schedule: str | None = None) -> Agent:
+def make_agent(name: str, speed: str | None = None, schedule: str | None = None, command: str | None = None) -> Agent:
     """The agent of that name: a policy, a blend of policies, or a controller.
 
     Args:
@@ -42,10 +47,13 @@ def make_agent(name: str, speed: str | None = None, schedule: str | None = None)
         more; "controller:NAME".
       speed: commanded, such as "2.5x"; None for the one it was trained at, 1x if at any.
       schedule: how a blend goes from its first policy to its last, one of `SCHEDULES`.
+      command: what a policy is commanded, in place of a speed; see `motion.schedule.parse_schedule`.
 
     Raises:
-      ValueError: there is no such agent, or two; it takes no such speed or schedule; or its file is damaged.
+      ValueError: there is no such agent, or two; it takes no such speed, schedule or command; or its file is damaged.
     """
+    if command is not None:
+        return _steered(name, speed, schedule, command)
     if name.startswith(BLEND_PREFIX) != (schedule is not None):
         known = " or ".join(SCHEDULES)
         raise ValueError(f"policy={name} with schedule={schedule}: a blend, and nothing else, takes schedule={known}.")
@@ -57,6 +65,18 @@ def make_agent(name: str, speed: str | None = None, schedule: str | None = None)
     if name.startswith(CONTROLLER_PREFIX) and preset in CONTROLLERS:
         return HeuristicAgent(preset)
     return make_policy_agent(name, speed)
+
+
+def _steered(name: str, speed: str | None, schedule: str | None, command: str) -> SteeredAgent:
+    """The policy of that name under a command; see `make_agent`."""
+    if speed is not None:
+        raise ValueError(f"speed={speed} with command={command}: a command has the speed in it; leave one out.")
+    if schedule is not None or name.startswith((BLEND_PREFIX, CONTROLLER_PREFIX)):
+        raise ValueError(
+            f"policy={name} with command={command}: a single policy takes a command, and nothing else does."
+        )
+    told = parse_schedule(command)
+    return SteeredAgent(make_policy_agent(name), told, f"{name} command={command}")
 
 
 def make_policy_agent(name: str, speed: str | None = None) -> PolicyAgent:

@@ -15,16 +15,16 @@ PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "brax", "flax", "optax", "n
 
 
 def provenance(**more: Any) -> dict[str, Any]:
-    """Where a result comes from: command, commit, date, hardware, versions, and whatever else is given."""
-    return {
+    """Where a result comes from: command, commit, date, hardware, versions, and what is given under other names."""
+    own = {
         "command": shlex.join([*program(_module()), *sys.argv[1:]]),
         "commit": _commit(),
         "date": datetime.date.today().isoformat(),
         "hardware": ", ".join([_processor(), f"{os.cpu_count()} cores", *_accelerators()]),
         "python": platform.python_version(),
         "versions": {name: version_of(name) for name in PACKAGES},
-        **more,
     }
+    return own | more | own
 
 
 def program(module: str) -> list[str]:

@@ -45,14 +45,14 @@ def tick(motion: ReferenceMotion, state: MotionState) -> MotionState:
     return state._replace(time=state.time + 1, step=state.step + 1, path=path)
 
 
-def follow(state: MotionState, lead: Array, aside: Array, leash_m: float) -> MotionState:
+def follow(state: MotionState, lead: Array, aside: Array, leash_m: Array | float) -> MotionState:
     """The same moment, with the reference moved so that robots are within the leash.
 
     Args:
       state: of the robots.
       lead: how far ahead of the reference they are, [B], m.
       aside: how far to the left of it, [B], m; straight ahead the path stays, and robots come back to it.
-      leash_m: the longest way from the reference along either axis.
+      leash_m: the longest way from the reference along either axis, m, of all or of each, [B].
     """
     xp = namespace(state.origin_x, lead)
     path = shift(state.path, state.command, aside - xp.clip(aside, -leash_m, leash_m))

@@ -40,7 +40,8 @@ class WalkConfig(Checked):
     leash_m: Annotated[float, Range(0.001, 1000)] | None = None
     """How far behind the reference motion robots can be before it waits for them, and how far ahead, m; null for any.
 
-    A robot that was pushed is paid for walking on, not for making up the way that it lost."""
+    A robot that was pushed is paid for walking on, not for making up the way that it lost. Robots that
+    `scenario.undisturbed_share` leaves alone have no leash: they learn to keep the speed."""
     episode_steps: Annotated[int, Range(1, 2**30)] = 300
     """Control steps of a full episode; 300 are 9.6 s."""
     start_velocity_mps: Annotated[float, Range(0, 3)] = 1.2

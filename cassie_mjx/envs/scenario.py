@@ -20,6 +20,8 @@ PUSH_S = 0.2
 
 LEVELS = 8
 """Levels above 0 that terrain is drawn from, evenly spaced: MuJoCo C compiles a model for each."""
+LEVEL_UP, LEVEL_DOWN, LEAST_LEVEL = 0.01, 0.04, 0.1
+"""How a level of the curriculum moves: it settles where four of five pushes are survived."""
 TRAINING_SEEDS = 4
 """Rough grounds that robots are trained on, of `ROUGH_SEEDS`."""
 # What the key of a scenario is folded with for the dynamics; up to 4 it would give the others' keys again.
@@ -33,6 +35,12 @@ class ScenarioConfig(Checked):
     push_n: Annotated[float, Range(0, 1000)] = 0.0
     """Force of a push at the pelvis, N: horizontal, in any direction, for 0.2 s, one push after the
     other."""
+    push_curriculum: bool = False
+    """Whether pushes grow as robots learn to bear them. Every robot has a direction of its own that it is pushed in,
+    and a level, from 0.1 to 1: its pushes are drawn up to `push_n` times the level, which rises with each push that is
+    over and drops with each fall."""
+    undisturbed_share: Annotated[float, Range(0, 1)] = 0.0
+    """Share of the robots that nothing of this disturbs, so that walking undisturbed is still practised."""
     push_backward: Annotated[float, Range(0, 1)] = 1.0
     """Factor on what a push has along -x: backward, robots bear only weaker pushes than in other directions."""
     push_pause_s: Annotated[float, Range(0, 60)] = 4.0
@@ -72,12 +80,18 @@ class ScenarioConfig(Checked):
         return math.ceil(self.delay_s * physics_hz - 1e-9)
 
 
+def is_disturbed(config: ScenarioConfig, robots: int) -> jax.Array:
+    """Which of `robots` are not left alone, [robots], bool: always the same, the last of them."""
+    return jnp.arange(robots) >= round(config.undisturbed_share * robots)
+
+
 def draw_scenario(
     config: ScenarioConfig,
     key: jax.Array,
     robots: int,
     physics_hz: float,
     kd_scale: float = 1.0,
+    level: Array | float = 1.0,
     dynamics: DynamicsRange | None = None,
 ) -> Scenario:
     """Scenarios of whole episodes, up to the end of their first push.
@@ -88,22 +102,27 @@ def draw_scenario(
       robots: B.
       physics_hz: physics steps a second.
       kd_scale: factor on the D gains of all robots.
+      level: of the curriculum, [B]: share of `config.push_n` that pushes are drawn up to.
       dynamics: how far robots differ from the model; None for not at all.
     """
     force_key, direction_key, pause_key, terrain_key, delay_key = jax.random.split(key, 5)
-    force = jax.random.uniform(force_key, (robots, 1), maxval=config.push_n)
+    acts = is_disturbed(config, robots)
+    force = acts * level * jax.random.uniform(force_key, (robots,), maxval=config.push_n)
     angle = jax.random.uniform(direction_key, (robots,), maxval=2 * jnp.pi)
+    if config.push_curriculum:
+        # Each of the n disturbed robots has an n-th of the circle.
+        angle = (2 * jnp.pi * jnp.arange(robots) + angle) / jnp.maximum(acts.sum(), 1)
     forward, left = jnp.cos(angle), jnp.sin(angle)
     forward *= jnp.where(forward < 0, config.push_backward, 1)
     # A push starts with a control step: within one, it would cut the physics' calls of all robots in two.
     longest = math.ceil(config.push_pause_s / CONTROL_PERIOD_S)
     start = jax.random.randint(pause_key, (robots, 1), 0, longest + 1) * steps_per_control(physics_hz)
     scenario = Scenario(
-        push=(force * jnp.stack([forward, left, jnp.zeros(robots)], axis=1))[:, None],
+        push=(force[:, None] * jnp.stack([forward, left, jnp.zeros(robots)], axis=1))[:, None],
         push_start=start,
         push_stop=start + round(PUSH_S * physics_hz),
-        delay=jax.random.randint(delay_key, (robots,), 0, config.delay_steps(physics_hz) + 1),
-        ground=_draw_ground(config, terrain_key, robots),
+        delay=jax.random.randint(delay_key, (robots,), 0, config.delay_steps(physics_hz) + 1) * acts,
+        ground=_draw_ground(config, terrain_key, acts),
         kd_scale=jnp.full(robots, kd_scale),
     )
     if dynamics is None:
@@ -111,9 +130,10 @@ def draw_scenario(
     return vary(scenario, dynamics, jax.random.fold_in(key, _DYNAMICS_KEY), physics_hz)
 
 
-def _draw_ground(config: ScenarioConfig, key: jax.Array, robots: int) -> Ground:
-    """One of the kinds of terrain for each robot, at one of nine levels, flat among them."""
-    level = jax.random.randint(key, (robots,), 0, LEVELS + 1) / LEVELS
+def _draw_ground(config: ScenarioConfig, key: jax.Array, acts: jax.Array) -> Ground:
+    """One of the kinds of terrain for each robot that `acts` [B] says, at one of nine levels, flat among them."""
+    robots = len(acts)
+    level = acts * jax.random.randint(key, (robots,), 0, LEVELS + 1) / LEVELS
     kind_key, side_key, seed_key = jax.random.split(jax.random.fold_in(key, 1), 3)
     kinds = config.terrains
     chosen = jax.random.randint(kind_key, (robots,), 0, max(len(kinds), 1))
@@ -130,6 +150,27 @@ def _draw_ground(config: ScenarioConfig, key: jax.Array, robots: int) -> Ground:
     )
 
 
+def first_level(config: ScenarioConfig, robots: int) -> jax.Array:
+    """The levels of the curriculum that training begins with, [robots]; 1 without one."""
+    return jnp.full(robots, LEAST_LEVEL if config.push_curriculum else 1.0)
+
+
+def next_level(config: ScenarioConfig, level: jax.Array, present: Scenario, step: Array, fallen: Array) -> jax.Array:
+    """The levels [B] of the curriculum after a control step: higher where a push is over, lower where robots fell.
+
+    Args:
+      config: whether there is a curriculum.
+      level: before, [B].
+      present: what acted until now.
+      step: physics steps since the start of the episode, [B].
+      fallen: [B], bool.
+    """
+    if not config.push_curriculum:
+        return level
+    over = present.push_stop[:, 0] <= step
+    return jnp.clip(level + LEVEL_UP * over - LEVEL_DOWN * fallen, LEAST_LEVEL, 1)
+
+
 def renew_scenario(
     config: ScenarioConfig,
     key: jax.Array,
@@ -137,6 +178,7 @@ def renew_scenario(
     step: Array,
     ended: Array,
     physics_hz: float,
+    level: Array | float = 1.0,
     dynamics: DynamicsRange | None = None,
 ) -> Scenario:
     """What acts from the next control step on: a new push where the last is over, all anew where the episode is.
@@ -148,9 +190,10 @@ def renew_scenario(
       step: physics steps since the start of the episode, [B].
       ended: robots that start a new episode, [B], bool.
       physics_hz: physics steps a second.
-      dynamics: as `draw_scenario` has it.
+      level: see `draw_scenario`.
+      dynamics: see `draw_scenario`.
     """
-    fresh = draw_scenario(config, key, len(step), physics_hz, dynamics=dynamics)
+    fresh = draw_scenario(config, key, len(step), physics_hz, level=level, dynamics=dynamics)
     fresh = replace(fresh, kd_scale=present.kd_scale)
     now = step[:, None]
     pushed_again = replace(present, push=fresh.push, push_start=now + fresh.push_start, push_stop=now + fresh.push_stop)

@@ -41,6 +41,7 @@ class StepOutcome(NamedTuple):
     start: Start
     """Where the robots that ended begin anew."""
     scenario: Scenario
+    push_level: Array
     motion: MotionState
     observation: Array
     final_observation: Array
@@ -62,6 +63,7 @@ class WalkState:
       physics: state of the engine.
       scenario: what differs from robot to robot.
       motion: where they are along the reference motion, and their commands.
+      push_level: of the curriculum of pushes, [B], 0.1 to 1; 1 without one.
       sensing: what the observation carries from step to step, [B, H - 1, F]; empty without history.
       observation: what the policy acts on next, [B, O]; in a symmetric task as `ControlLaw.observe` gives it, in a
         mirror where the reference is in its second step, and so is the final one.
@@ -79,6 +81,7 @@ class WalkState:
     physics: PhysicsState
     scenario: Scenario
     motion: MotionState
+    push_level: Array
     sensing: Array
     observation: Array
     final_observation: Array

@@ -19,7 +19,7 @@ from cassie_mjx.control.path import Path, into, out_of
 from cassie_mjx.envs import command, privileged, reward
 from cassie_mjx.envs.command import CommandRange
 from cassie_mjx.envs.config import WalkConfig
-from cassie_mjx.envs.scenario import draw_scenario, renew_scenario
+from cassie_mjx.envs.scenario import draw_scenario, first_level, is_disturbed, next_level, renew_scenario
 from cassie_mjx.envs.start import draw_offset
 from cassie_mjx.envs.termination import Ends, ends
 from cassie_mjx.envs.types import Start, StartOffset, StepOutcome, WalkState
@@ -91,7 +91,13 @@ class WalkEnv:
         if self.config.draws:
             config, scenario_key = self.config, jax.random.fold_in(key, _SCENARIO_KEY)
             scenario = draw_scenario(
-                config.scenario, scenario_key, self.robots, self._physics_hz, config.kd_scale, config.span
+                config.scenario,
+                scenario_key,
+                self.robots,
+                self._physics_hz,
+                config.kd_scale,
+                first_level(config.scenario, self.robots),
+                config.span,
             )
         return self.reset_at(time, scenario, told, offset, key)
 
@@ -128,6 +134,7 @@ class WalkEnv:
             scenario=to_backend(physics, scenario),
             motion=start.motion,
             sensing=start.sensing,
+            push_level=first_level(self.config.scenario, robots),
             observation=start.observation,
             final_observation=start.observation,
             privileged=start.privileged,
@@ -152,7 +159,9 @@ class WalkEnv:
         held = to_backend(state.physics, self._target(state.motion, action))
         physics = self.physics.advance(state.physics, held, state.scenario, self._substeps)
         seen = sensed(physics, state.scenario)
-        outcome = self._outcome(state.motion, state.sensing, state.scenario, physics.qpos, physics.qvel, *seen, key)
+        outcome = self._outcome(
+            state.motion, state.sensing, state.push_level, state.scenario, physics.qpos, physics.qvel, *seen, key
+        )
         fresh = self.physics.init(outcome.start.qpos, outcome.start.qvel)
         ended = outcome.terminated | outcome.truncated
         given: dict[str, Any] = outcome._asdict()
@@ -217,6 +226,7 @@ class WalkEnv:
         self,
         before: MotionState,
         sensing: jax.Array,
+        push_level: jax.Array,
         scenario: Scenario,
         qpos: jax.Array,
         qvel: jax.Array,
@@ -241,9 +251,8 @@ class WalkEnv:
         truncated = ~terminated & self._is_last(state)
         ended = terminated | truncated
         known = self._privileged(state, scenario, lead)
-        if self.config.leash_m is not None:
-            state = motions.follow(state, lead, aside, self.config.leash_m)
-        scenario = self._renew(scenario, state, ended, key)
+        state = self._leashed(state, lead, aside)
+        scenario, push_level = self._renew(scenario, push_level, state, terminated, truncated, key)
         state = self._told(state, key)
         start = self._begin_anew(state, scenario, key)
         noise_key = jax.random.fold_in(key, _NOISE_KEY)
@@ -252,6 +261,7 @@ class WalkEnv:
         return StepOutcome(
             start=start,
             scenario=scenario,
+            push_level=push_level,
             motion=merge(ended, start.motion, state),
             observation=merge(ended, start.observation, observation),
             final_observation=observation,
@@ -288,12 +298,31 @@ class WalkEnv:
         timed_out = state.step >= self.config.episode_steps
         return timed_out if self.motion.periodic else timed_out | (state.time >= self.samples - 1)
 
-    def _renew(self, scenario: Scenario, state: MotionState, ended: jax.Array, key: jax.Array) -> Scenario:
-        config = self.config
-        if not config.draws:
-            return scenario
-        scenario_key, step = jax.random.fold_in(key, _SCENARIO_KEY), state.step * self._substeps
-        return renew_scenario(config.scenario, scenario_key, scenario, step, ended, self._physics_hz, config.span)
+    def _leashed(self, state: MotionState, lead: jax.Array, aside: jax.Array) -> MotionState:
+        """The same moment, with the reference within the leash of disturbed robots; see `motions.follow`."""
+        if self.config.leash_m is None:
+            return state
+        leash_m = jnp.where(is_disturbed(self.config.scenario, len(lead)), self.config.leash_m, jnp.inf)
+        return motions.follow(state, lead, aside, leash_m)
+
+    def _renew(
+        self,
+        scenario: Scenario,
+        level: jax.Array,
+        state: MotionState,
+        terminated: jax.Array,
+        truncated: jax.Array,
+        key: jax.Array,
+    ) -> tuple[Scenario, jax.Array]:
+        """What acts on robots from now on, and their levels of the curriculum."""
+        config, step = self.config.scenario, state.step * self._substeps
+        if not self.config.draws:
+            return scenario, level
+        level = next_level(config, level, scenario, step, terminated)
+        scenario_key = jax.random.fold_in(key, _SCENARIO_KEY)
+        ended = terminated | truncated
+        hz, span = self._physics_hz, self.config.span
+        return renew_scenario(config, scenario_key, scenario, step, ended, hz, level, span), level
 
     def _told(self, state: MotionState, key: jax.Array) -> MotionState:
         """The same moment, with the command on its way to a target that may be a new one."""

@@ -1,4 +1,4 @@
-"""The suites: what is asked of every agent, the same on MuJoCo C and on MJX.
+"""The suites: what is asked of every agent, the same on MuJoCo C and on MJX; `command` of single policies alone.
 
 Random pushes and robots are drawn with seed 0, and every trial starts from steady walking on the flat, up to which
 MuJoCo C has walked the agent: so the same trial begins in the same state on both engines.
@@ -11,6 +11,7 @@ import numpy as np
 
 from cassie_mjx.agents.make import make_agent
 from cassie_mjx.agents.types import Agent, AgentState
+from cassie_mjx.evaluation.driving import command
 from cassie_mjx.evaluation.dynamics import dynamics
 from cassie_mjx.evaluation.pushes import forces, push, push_map
 from cassie_mjx.evaluation.returns import agent_returns
@@ -163,6 +164,7 @@ SUITES: dict[str, Suite] = {
     "push": push,
     "map": push_map,
     "forces": forces,
+    "command": command,
     "dynamics": dynamics,
 }
 ALL = ("walk", "delay", "terrain", "push")

@@ -1,12 +1,13 @@
-"""A walk to push about in: `python -m cassie_mjx.view policy=1x` opens MuJoCo's interactive viewer.
+"""A walk to steer and to push about: `python -m cassie_mjx.view policy=any` opens MuJoCo's interactive viewer.
 
-The pelvis is selected; dragging with Ctrl and the right mouse button pushes it, a double click selects another part. A
-robot that has fallen starts anew, in steady walking.
+Keys steer a policy and push every agent (`evaluation.keys`). The pelvis is selected; dragging with Ctrl and the right
+mouse button pushes it, a double click selects another part. A robot that has fallen starts anew, in steady walking.
 """
 
 import time
 import warnings
 from collections import deque
+from collections.abc import Iterator
 from itertools import count
 
 import glfw
@@ -14,21 +15,32 @@ import mujoco
 import mujoco.viewer
 import numpy as np
 
+from cassie_mjx.agents.policy import PolicyAgent
+from cassie_mjx.agents.steered import SteeredAgent
 from cassie_mjx.agents.types import Agent
+from cassie_mjx.envs.scenario import PUSH_S
 from cassie_mjx.envs.termination import has_fallen, height_over_ground
+from cassie_mjx.evaluation import keys
 from cassie_mjx.evaluation.film import AFTER_FALL_S, begin
 from cassie_mjx.evaluation.simulate import simulate
+from cassie_mjx.evaluation.track import place_of, velocities
 from cassie_mjx.evaluation.trial import Trial
+from cassie_mjx.motion.command import Command
+from cassie_mjx.motion.reference import mean_speed
+from cassie_mjx.motion.schedule import constant
 from cassie_mjx.physics.types import BodyState, Physics, PhysicsState, Scenario
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
 from cassie_mjx.robot.drawing import load_scene
 from cassie_mjx.robot.ground import FLAT, Terrain
 from cassie_mjx.robot.model import servo_model
+from cassie_mjx.robot.rotation import turned, yaw
 
 # The viewer takes over state and mouse force so often.
 SYNC_S = 0.016
 SPEED_WINDOW_S = 1.0
+PUSH_N = 50.0
+"""Force of a push by a key, N."""
 
 
 class LivePhysics:
@@ -67,6 +79,13 @@ class LivePhysics:
         return PhysicsState(qpos, qvel, warmstart, step, np.zeros((1, 0, cassie.NQ + cassie.NV)))
 
 
+def steerable(agent: Agent) -> Agent:
+    """A policy that walks as one that follows commands, its own speed at first; any other agent as it is."""
+    if not isinstance(agent, PolicyAgent) or mean_speed(agent.motion) == 0:
+        return agent
+    return SteeredAgent(agent, constant((float(mean_speed(agent.motion)), 0.0, 0.0)), agent.name)
+
+
 class Live:
     """One robot that walks in one `MjData`, which steps as `NativePhysics` does while nobody touches it."""
 
@@ -78,6 +97,8 @@ class Live:
           terrain: what it walks on.
         """
         self.agent, self.terrain = agent, terrain
+        self.keys: deque[int] = deque()
+        """Keys that were pressed and not answered yet, as GLFW numbers them; another thread may append to it."""
         kinematics, self._start = begin(agent, Trial(0, 0.0, terrain=terrain), 0.0)
         self.model = servo_model(load_scene(terrain.ground), agent.kd_scale)
         self.physics = LivePhysics(self.model, kinematics)
@@ -87,39 +108,97 @@ class Live:
 
     def restart(self) -> None:
         """Go back to the start."""
-        robots = self._start._replace(physics=self.physics.take(self._start.physics))
-        self._walk = simulate(self.agent, self.physics, robots, self._scenario, count(1))
+        self._robots = self._start._replace(physics=self.physics.take(self._start.physics))
+        self.target: Command | None = None
+        self._push_w, self._push_steps = np.zeros(3), 0
+        self.places = deque([self.place], round(SPEED_WINDOW_S / SYNC_S))
+        """Where it was every 16 ms in the last second."""
+        self._walk = simulate(self.agent, self.physics, self._robots, self._scenario, count(1), self._commands())
+
+    def answer_keys(self) -> None:
+        """Do what the keys say that were pressed."""
+        while self.keys:
+            key, command = self.keys.popleft(), self.command
+            if key == keys.RESET:
+                self.restart()
+            elif key in keys.PUSHES:
+                self.push(np.array(keys.PUSHES[key]))
+            elif key in keys.STEERING and command is not None:
+                self.target = keys.steer(key, self.target or command)
+
+    def push(self, direction: np.ndarray) -> None:
+        """Push the pelvis for 0.2 s in a direction (forward, left) of its heading frame."""
+        heading = yaw(self.data.qpos[cassie.PELVIS_QUATERNION])
+        self._push_w = PUSH_N * np.append(turned(direction, heading), 0.0)
+        self._push_steps = round(PUSH_S / self.model.opt.timestep)
 
     def advance(self, n_steps: int) -> None:
-        """Advance by physics steps under the forces in `data.xfrc_applied`."""
-        for _ in range(n_steps):
-            next(self._walk)
+        """Advance by physics steps under the forces in `data.xfrc_applied` and those of pushes."""
+        applied = self.data.xfrc_applied[cassie.PELVIS_BODY, :3]
+        mouse, pushed = applied.copy(), min(self._push_steps, n_steps)
+        for steps, force in ((pushed, mouse + self._push_w), (n_steps - pushed, mouse)):
+            applied[:] = force
+            for _ in range(steps):
+                self._robots = next(self._walk).robots
+        self._push_steps -= pushed
+
+    @property
+    def place(self) -> np.ndarray:
+        """X and y, m, and heading, rad, of the pelvis in the world, [3]."""
+        return place_of(self.data.qpos[None])[0]
+
+    @property
+    def command(self) -> Command | None:
+        """What the policy is commanded now, (m/s, m/s, rad/s); None for an agent that takes no commands."""
+        if not isinstance(self.agent, SteeredAgent):
+            return None
+        return Command(*(float(part[0]) for part in self._robots.carry.command))
 
     @property
     def fallen(self) -> bool:
         """Whether the robot lies on the ground."""
         return bool(has_fallen(height_over_ground(self.data.qpos, self.terrain.ground)))
 
+    def _commands(self) -> Iterator[Command | None]:
+        """The targets of the keys, step by step of the agent; None for as long as none was pressed."""
+        while True:
+            target = self.target
+            yield None if target is None else Command(*(np.full(1, part, np.float32) for part in target))
+
 
 def keep_showing(viewer: mujoco.viewer.Handle, live: Live) -> None:
     """Walk in real time until the window is closed. The viewer writes the mouse's force into the robot's data."""
     steps = round(SYNC_S / live.model.opt.timestep)
-    way, down_s = deque([float(live.data.qpos[0])], round(SPEED_WINDOW_S / SYNC_S)), 0.0
-    due = time.perf_counter()
+    down_s, due = 0.0, time.perf_counter()
     while viewer.is_running():
         with viewer.lock():
+            live.answer_keys()
             live.advance(steps)
             down_s = down_s + SYNC_S if live.fallen else 0.0
             if down_s >= AFTER_FALL_S:
                 live.restart()
-                way.clear()
-        way.append(float(live.data.qpos[0]))
-        speed = (way[-1] - way[0]) / (SYNC_S * max(len(way) - 1, 1))
-        viewer.set_texts((None, None, "time\nspeed", f"{live.data.time:.1f} s\n{speed:.2f} m/s"))
+        live.places.append(live.place)
+        viewer.set_texts(shown_text(live))
         viewer.sync()
         # A computer that is too slow shows slow motion and does not catch up.
         due = max(due + SYNC_S, time.perf_counter())
         time.sleep(max(due - time.perf_counter(), 0.0))
+
+
+def shown_text(live: Live) -> tuple[None, None, str, str]:
+    """What the screen says: time, target, command, velocity over the last second, and the keys; as MuJoCo takes it."""
+    lines = {"time": f"{live.data.time:.1f} s"}
+    if live.command is not None:
+        lines |= {"target": _told(live.target or live.command), "command": _told(live.command)}
+    lines["velocity"] = _told(Command(*velocities(np.array([live.places]), SYNC_S)[0].mean(axis=0)))
+    lines |= ({} if live.command is None else keys.STEERING_HELP) | keys.HELP
+    return None, None, "\n".join(lines), "\n".join(lines.values())
+
+
+def _told(command: Command) -> str:
+    # Adding 0 turns -0 into 0.
+    forward, lateral, yaw_rate = (round(float(part), 2) + 0.0 for part in command)
+    return f"{forward:.2f} m/s ahead, {lateral:.2f} m/s left, {yaw_rate:.2f} rad/s left"
 
 
 def check_screen() -> None:

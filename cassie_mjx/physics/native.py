@@ -36,6 +36,11 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+MOST_MODELS = 256
+"""Models that an engine keeps beyond those in use: training comes back to the same grounds again and again. One with
+rough ground has 2 MB."""
+
+
 class NativePhysics:
     """Steps robots with `mujoco.batch` on a pool of threads; implements `Physics` on NumPy float64 arrays.
 
@@ -112,11 +117,20 @@ class NativePhysics:
         if not np.array_equal(pool.parameters, parameters):
             pool.parameters = parameters
             rows = [row.tobytes() for row in parameters]
-            owners = {row: robot for robot, row in enumerate(rows)}
-            self._models = {row: self._models.get(row) or self._model_of(scenario, owners[row]) for row in owners}
+            self._make_models(scenario, {row: robot for robot, row in enumerate(rows)})
             pool.batch.set_models([self._models[row] for row in rows])
         pool.qpos[:], pool.qvel[:], pool.warmstart[:] = state.qpos, state.qvel, state.qacc_warmstart
         return pool
+
+    def _make_models(self, scenario: Scenario, owners: dict[bytes, int]) -> None:
+        """Make the models of these rows of parameters, each of one robot, that are not there.
+
+        Others are kept while there is room.
+        """
+        if len(self._models.keys() | owners) > MOST_MODELS:
+            self._models = {row: model for row, model in self._models.items() if row in owners}
+        missing = owners.keys() - self._models.keys()
+        self._models |= {row: self._model_of(scenario, owners[row]) for row in missing}
 
     def _model_of(self, scenario: Scenario, robot: int) -> mujoco.MjModel:
         """The model of one of the robots; with delay, the PD law is not a part of it."""
