@@ -10,10 +10,10 @@ from cassie_mjx.agents.blend import BlendAgent
 from cassie_mjx.agents.blending import Progress
 from cassie_mjx.agents.make import make_agent, make_policy_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
-from cassie_mjx.agents.policy import PolicyCarry
 from cassie_mjx.agents.policy_file import learner_policy, save_policy
 from cassie_mjx.agents.types import Sensed
 from cassie_mjx.control.path import Path
+from cassie_mjx.control.step import PolicyCarry
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import ReferenceMotion, blend_motions, sample, stretch
 from cassie_mjx.ppo import learner

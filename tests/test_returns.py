@@ -93,7 +93,7 @@ def test_a_limp_robot_falls(agent, physics):
 def test_a_network_as_an_argument_gives_what_its_own_compilation_does(agent, physics):
     from functools import partial
 
-    from cassie_mjx.agents.policy import policy_step
+    from cassie_mjx.control.step import policy_step
 
     step = jax.jit(partial(policy_step, agent.law, agent.motion))
     other = type(agent)("1x", agent.law, agent.motion, agent.network, step=step)

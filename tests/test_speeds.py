@@ -8,8 +8,9 @@ import pytest
 
 from cassie_mjx.agents.make import make_policy_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
-from cassie_mjx.agents.policy import PolicyAgent, policy_step
+from cassie_mjx.agents.policy import PolicyAgent
 from cassie_mjx.agents.shipped import shipped_policies
+from cassie_mjx.control.step import policy_step
 from cassie_mjx.evaluation.setup import SuiteResult
 from experiments import interpolation, speeds, studies
 from experiments.interpolation import InterpolationConfig, Ride, draw
@@ -144,9 +145,9 @@ def test_the_reference_moves_to_the_speed_commanded():
     layers = tuple((0 * np.asarray(w), 0 * np.asarray(b)) for w, b in shipped.network.layers)
     told = []
 
-    def step(network, carry, sensed, command):
+    def step(network, carry, qpos, qvel, command):
         told.append(np.asarray(command.forward))
-        return policy_step(shipped.law, shipped.motion, network, carry, sensed, command)
+        return policy_step(shipped.law, shipped.motion, network, carry, qpos, qvel, command)
 
     agent = PolicyAgent("still", shipped.law, shipped.motion, shipped.network._replace(layers=layers), step=step)
     ride = follow(agent, np.repeat([1.0, 3.0], 20), starts=2)

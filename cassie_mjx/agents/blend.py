@@ -8,9 +8,10 @@ import numpy as np
 
 from cassie_mjx.agents import blending
 from cassie_mjx.agents.blending import SCHEDULES, Progress
-from cassie_mjx.agents.policy import PolicyAgent, PolicyCarry
+from cassie_mjx.agents.policy import PolicyAgent
 from cassie_mjx.agents.types import Sensed
 from cassie_mjx.control.observation import Seen
+from cassie_mjx.control.step import PolicyCarry
 from cassie_mjx.motion.command import Command
 from cassie_mjx.motion.reference import mean_speed, sample
 from cassie_mjx.robot import cassie

@@ -13,16 +13,16 @@ import numpy as np
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.saved_law import control_law
 from cassie_mjx.agents.shipped import load_policy
-from cassie_mjx.control.law import target
+from cassie_mjx.control.command import toward
 from cassie_mjx.control.network import Network
-from cassie_mjx.control.observation import Seen
-from cassie_mjx.control.path import Path, bend_beside, into
-from cassie_mjx.motion.command import Command
-from cassie_mjx.motion.reference import ReferenceMotion, sample
+from cassie_mjx.control.step import begin, policy_step
+from cassie_mjx.motion.command import STAND, Command
+from cassie_mjx.motion.reference import ReferenceMotion, mean_speed
 from cassie_mjx.robot import cassie
 
-Told: TypeAlias = float | Sequence[float] | np.ndarray
-"""A commanded forward velocity, m/s, or three numbers: forward and lateral velocity, m/s, and yaw rate, rad/s."""
+Told: TypeAlias = float | Sequence[float] | np.ndarray | str
+"""A commanded forward velocity, m/s; or three numbers, forward and lateral velocity, m/s, and yaw rate, rad/s; or the
+word "stand"."""
 
 # MuJoCo's numbers of the kinds of joints, and of transmissions to a joint.
 _KINDS = ("free", "ball", "slide", "hinge")
@@ -131,13 +131,18 @@ def _check_names(addresses: Mapping[str, tuple[int, int]]) -> None:
 
 def _command(told: Told) -> Command:
     """The command of one robot, leaves [1]."""
-    numbers = np.array(told, float)
+    if isinstance(told, str) and told == STAND:
+        return Command(*np.array([[0.0], [0.0], [0.0], [1.0]]))
+    try:
+        numbers = np.array(told, float)
+    except ValueError:
+        numbers = np.zeros(0)
     if numbers.shape not in ((), (3,)):
         raise ValueError(
-            f"command={told} must be a forward velocity, or three numbers: forward and lateral velocity and yaw rate."
+            f"command={told} must be a forward velocity, three numbers (forward and lateral velocity and yaw rate) or "
+            f'"{STAND}".'
         )
-    forward, lateral, yaw_rate = np.append(numbers, np.zeros(3 - numbers.size)).reshape(3, 1)
-    return Command.ahead(forward)._replace(lateral=lateral, yaw_rate=yaw_rate)
+    return Command(*np.append(numbers, np.zeros(4 - numbers.size)).reshape(4, 1))
 
 
 class Controller:
@@ -167,7 +172,7 @@ class Controller:
     def reset(self) -> None:
         """Begin anew, at the start of the reference motion."""
         self._step, self._carry, self._start_s, self._last_s = 0, None, None, -np.inf
-        self._targets, self._path = np.zeros(cassie.NU), Path.world(1)
+        self._targets, self._told = np.zeros(cassie.NU), None
 
     def initial_state(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Copies of a model's qpos [nq] and qvel [nv] with the robot at the start of the reference motion."""
@@ -183,35 +188,33 @@ class Controller:
         Args:
           qpos: of the model, [nq].
           qvel: of the model, [nv].
-          command: commanded forward velocity, m/s, or forward and lateral velocity, m/s, and yaw rate, rad/s, left
-            positive; the policy's own speed straight ahead unless given. Velocities are along a path that begins as
-            the world's x axis and that the yaw rate turns.
+          command: commanded forward velocity, m/s; or forward and lateral velocity, m/s, and yaw rate, rad/s, left
+            positive; or "stand". The policy's own speed straight ahead unless given. Velocities are along a path that
+            begins as the world's x axis and that the yaw rate turns. The robot is brought from what it was told before
+            to a new command at a limited pace (`control.command.toward`).
 
         Raises:
-          ValueError: the command is neither one number nor three.
+          ValueError: the command is neither a number, nor three, nor "stand".
         """
         own_qpos, own_qvel = np.zeros((1, cassie.NQ)), np.zeros((1, cassie.NV))
         own_qpos[0, self.joints.own_qpos] = np.asarray(qpos)[self.joints.qpos]
         own_qpos[0, cassie.PELVIS_POSITION] += self.joints.origin
         own_qvel[0, self.joints.own_qvel] = np.asarray(qvel)[self.joints.qvel]
-        told, time = None if command is None else _command(command), np.array([self._step])
-        ahead = sample(self.motion, time + 1, told)
-        own_qpos, own_qvel = into(self._path, own_qpos, own_qvel)
-        seen = Seen(own_qpos, own_qvel, *ahead, told)
-        carry = self.law.init(seen) if self._carry is None else self._carry
-        residual, self._carry = self.law.act(self._network, carry, seen)
-        if told is not None:
-            now, _ = sample(self.motion, time, told)
-            self._path = bend_beside(self._path, told, now, ahead[0], own_qpos[:, cassie.PELVIS_X])
+        carry = self._carry or begin(self.law, self.motion, np.zeros(1, np.int32), own_qpos, own_qvel)
+        if command is not None:
+            last = self._told or Command.ahead(np.full(1, mean_speed(self.motion)))
+            self._told = toward(self.motion, last, _command(command), carry.time)
+        told = None if command is None else self._told
+        targets, self._carry = policy_step(self.law, self.motion, self._network, carry, own_qpos, own_qvel, told)
         self._step += 1
-        self._targets = target(ahead[0], residual)[0]
+        self._targets = targets[0]
         return self._targets.copy()
 
     def step(self, time: float, qpos: np.ndarray, qvel: np.ndarray, command: Told | None = None) -> np.ndarray:
         """PD targets at a time, s, for loops of any rate: new ones every 32 ms, else those held; see `__call__`.
 
         Raises:
-          ValueError: the time is before that of the last call, or the command is neither one number nor three.
+          ValueError: the time is before that of the last call, or the command is none.
         """
         if time < self._last_s:
             raise ValueError(

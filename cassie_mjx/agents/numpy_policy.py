@@ -89,8 +89,9 @@ class NumpyPolicy:
     mirror: Mirror | None = None
     """How it takes the second step, if it learned the first alone; mean and std are those of reflected observations."""
     commands: np.ndarray | None = None
-    """[3, 2], least and greatest forward velocity, lateral velocity (m/s, left positive) and yaw rate (rad/s, left
-    positive) that it learned to follow; None for a file that is older than this entry."""
+    """[4, 2], least and greatest forward velocity, lateral velocity (m/s, left positive), yaw rate (rad/s, left
+    positive) and standing (0 or 1) that it learned to follow; [3, 2] of a file from before robots stood; None of one
+    that is older than this entry."""
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Return the residuals on the reference angles of the active joints, rad, [10] or [B, 10].
@@ -224,12 +225,13 @@ def _check_fit(policy: NumpyPolicy, path: Path) -> None:
     widths = [int(last[1]) if last else 0, *(bias.size for _, bias in policy.weights)]
     inputs, outputs = widths[0], widths[-1]
     layers = list(zip(policy.weights, pairwise(widths), strict=True))
+    known = 3 if policy.commands is not None and len(policy.commands) == 3 else 4
     for name, array, shape in (
         ("mean", policy.mean, (inputs,)),
         ("std", policy.std, (inputs,)),
         *((f"weight_{i}", weight, shape) for i, ((weight, _), shape) in enumerate(layers)),
         *((f"bias_{i}", bias, shape[1:]) for i, ((_, bias), shape) in enumerate(layers)),
-        *((("commands", policy.commands, (3, 2)),) if policy.commands is not None else ()),
+        *((("commands", policy.commands, (known, 2)),) if policy.commands is not None else ()),
         ("p_gain", policy.p_gain, (outputs,)),
         ("d_gain", policy.d_gain, (outputs,)),
     ):

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,48 +12,15 @@ from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy_file import learner_policy
 from cassie_mjx.agents.saved_law import control_law
 from cassie_mjx.agents.types import Sensed
-from cassie_mjx.control.law import ControlLaw, target
+from cassie_mjx.control.law import ControlLaw
 from cassie_mjx.control.network import Network
-from cassie_mjx.control.observation import Seen
-from cassie_mjx.control.path import Path, bend_beside, into
+from cassie_mjx.control.step import PolicyCarry, begin, policy_step
 from cassie_mjx.motion.command import Command, speed_factor
 from cassie_mjx.motion.reference import ReferenceMotion, sample, stretch
 from cassie_mjx.ppo import networks
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
-
-
-class PolicyCarry(NamedTuple):
-    """What a policy carries from step to step."""
-
-    time: Array
-    """Control step of the motion that it is at, [B], int32."""
-    sensing: Array
-    """Of the observation, [B, H - 1, F]."""
-    path: Path
-    """Where the path that it walks along lies in the world, leaves [B]; it begins as the world's x axis."""
-
-
-def policy_step(
-    law: ControlLaw,
-    motion: ReferenceMotion,
-    network: Network,
-    carry: PolicyCarry,
-    sensed: Sensed,
-    command: Command | None,
-) -> tuple[Array, PolicyCarry]:
-    """PD targets [B, 10], rad, of a deterministic policy, and the next carry."""
-    ahead = sample(motion, carry.time + 1, command)
-    qpos, qvel = into(carry.path, sensed.qpos, sensed.qvel)
-    residual, sensing = law.act(network, carry.sensing, Seen(qpos, qvel, *ahead, command))
-    path = carry.path
-    if command is not None:
-        now, _ = sample(motion, carry.time, command)
-        path = bend_beside(path, command, now, ahead[0], qpos[:, cassie.PELVIS_X])
-    samples = motion.qpos.shape[0]
-    time = (carry.time + 1) % samples if motion.periodic else carry.time + 1
-    return target(ahead[0], residual), PolicyCarry(time, sensing, path)
 
 
 class PolicyAgent:
@@ -87,7 +54,7 @@ class PolicyAgent:
         self.kd_scale, self.provenance = kd_scale, provenance or {}
         bound = partial(policy_step, law, motion, network)
         self._step = jax.jit(bound) if step is None else partial(step, network)
-        self._init = jax.jit(self._carry)
+        self._begin = jax.jit(partial(begin, law, motion))
 
     @property
     def lead(self) -> "PolicyAgent":
@@ -111,11 +78,11 @@ class PolicyAgent:
     def init(self, sensed: Sensed, time: Array | None = None) -> PolicyCarry:
         """See `Agent.init`; `time` [B] is the control step of the motion that robots are at, 0 unless given."""
         time = np.zeros(len(sensed.qpos), np.int32) if time is None else time
-        return jax.tree.map(np.asarray, self._init(sensed, time))
+        return jax.tree.map(np.asarray, self._begin(time, sensed.qpos, sensed.qvel))
 
     def step(self, carry: PolicyCarry, sensed: Sensed, command: Command | None) -> tuple[Array, PolicyCarry]:
         """See `Agent.step`."""
-        return self._step(carry, sensed, command)
+        return self._step(carry, sensed.qpos, sensed.qvel, command)
 
     def moved(self, carry: PolicyCarry, offset: np.ndarray) -> PolicyCarry:
         """See `Agent.moved`: the path goes along."""
@@ -125,10 +92,6 @@ class PolicyAgent:
     def take_over(self, carry: PolicyCarry) -> PolicyCarry:
         """See `Agent.take_over`."""
         return carry
-
-    def _carry(self, sensed: Sensed, time: Array) -> PolicyCarry:
-        seen = Seen(sensed.qpos, sensed.qvel, *sample(self.motion, time + 1))
-        return PolicyCarry(time, self.law.init(seen), Path.world(len(time)))
 
 
 def saved_agent(name: str, saved: NumpyPolicy, speed: str | None = None) -> PolicyAgent:

@@ -44,7 +44,7 @@ def save_policy(
       kd_scale: factor on the D gains of the PD law that holds its targets.
       provenance: anything JSON can hold.
       law: what it observes, and what its actions mean.
-      commands: least and greatest of each component of the commands that it learned to follow, [3, 2]; the speed of
+      commands: least and greatest of each component of the commands that it learned to follow, [4, 2]; the speed of
         the motion alone unless given.
 
     Raises:
@@ -53,7 +53,7 @@ def save_policy(
     arrays = _network_arrays(policy) | _motion_arrays(motion) | _law_arrays(law)
     if commands is None:
         own = float(mean_speed(motion))
-        commands = np.array([[own, own], [0.0, 0.0], [0.0, 0.0]])
+        commands = np.array([[own, own], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
     asked = {"speed": speed, "commands": commands, "d_gain": kd_scale * cassie.D_GAIN}
     archive.write(path, FORMAT, arrays | asked, provenance)
 

@@ -7,9 +7,10 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import numpy as np
 
-from cassie_mjx.agents.policy import PolicyAgent, PolicyCarry
+from cassie_mjx.agents.policy import PolicyAgent
 from cassie_mjx.agents.types import Sensed
 from cassie_mjx.control.command import toward
+from cassie_mjx.control.step import PolicyCarry
 from cassie_mjx.motion.command import Command
 from cassie_mjx.motion.reference import mean_speed
 from cassie_mjx.motion.schedule import CommandSchedule, constant
@@ -58,7 +59,7 @@ def steered_step(
 ) -> tuple[Array, SteeredCarry]:
     """PD targets [B, 10], rad, under a command one step nearer to the target, and the next carry."""
     target, pilot = carry.pilot.target(sensed)
-    told = toward(policy.motion, carry.command, target if command is None else command)
+    told = toward(policy.motion, carry.command, target if command is None else command, carry.walk.time)
     targets, walk = policy.step(carry.walk, sensed, told)
     return targets, SteeredCarry(walk, told, pilot)
 

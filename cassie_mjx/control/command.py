@@ -8,9 +8,11 @@ from cassie_mjx.motion.reference import RAMP_PER_S, ReferenceMotion, mean_speed,
 from cassie_mjx.robot.arrays import Array, namespace
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X
 
-LATERAL_PACE, YAW_PACE = 0.4, 1.6
-"""Paces at which a walk is brought to another lateral velocity, m/s², and to another yaw rate, rad/s²."""
-_STEERING_STEPS = CONTROL_PERIOD_S * LATERAL_PACE, CONTROL_PERIOD_S * YAW_PACE
+BRAKING, LATERAL_PACE, YAW_PACE = 1.5, 0.4, 1.6
+"""Paces at which a walk is slowed down, m/s², brought to another lateral velocity, m/s², and to another yaw rate,
+rad/s²."""
+STAND_S = 0.32
+"""Time in which a robot whose feet are both down comes to stand, and leaves it, s."""
 
 
 class MotionState(NamedTuple):
@@ -32,7 +34,7 @@ class MotionState(NamedTuple):
 
 def reference(motion: ReferenceMotion, state: MotionState, ahead: int = 0) -> tuple[Array, Array]:
     """The motion as commanded, `ahead` control steps from now, in the path's frame: (qpos [B, 35], qvel [B, 32])."""
-    qpos, qvel = sample(motion, state.time + ahead, state.command)
+    qpos, qvel = sample(motion, onward(state.time, state.command, ahead), state.command)
     x = qpos[:, PELVIS_X] + state.origin_x
     xp = namespace(qpos, state.origin_x)
     return xp.concatenate([x[:, None], qpos[:, PELVIS_X + 1 :]], axis=1), qvel
@@ -42,7 +44,12 @@ def tick(motion: ReferenceMotion, state: MotionState) -> MotionState:
     """One control step later, along the path and on its bend."""
     now, ahead = (reference(motion, state, steps)[0] for steps in (0, 1))
     path = bend(state.path, state.command, now, ahead)
-    return state._replace(time=state.time + 1, step=state.step + 1, path=path)
+    return state._replace(time=onward(state.time, state.command), step=state.step + 1, path=path)
+
+
+def onward(time: Array, command: Command, steps: int = 1) -> Array:
+    """The motion's time [B] `steps` control steps later: robots that stand, even a little, stay where they are."""
+    return time + steps * (namespace(time, command.forward).asarray(command.stand) == 0)
 
 
 def follow(state: MotionState, lead: Array, aside: Array, leash_m: Array | float) -> MotionState:
@@ -59,16 +66,37 @@ def follow(state: MotionState, lead: Array, aside: Array, leash_m: Array | float
     return state._replace(origin_x=state.origin_x + lead - xp.clip(lead, -leash_m, leash_m), path=path)
 
 
-def toward(motion: ReferenceMotion, command: Command, target: Command) -> Command:
-    """The command one control step later on its way to a target: forward by 0.625 of the motion's speed a second."""
+def toward(motion: ReferenceMotion, command: Command, target: Command, time: Array) -> Command:
+    """The command one control step later on its way to a target.
+
+    Forward it gains 0.625 of the motion's speed a second, and brakes faster. A robot comes to stand only when it steps
+    on the spot and both feet are down, and walks only when it no longer stands.
+
+    Args:
+      motion: what is walked.
+      command: of now.
+      target: what it is to become.
+      time: control steps since the motion began, [B].
+    """
     xp = namespace(command.forward)
-    paces = Command(RAMP_PER_S * CONTROL_PERIOD_S * mean_speed(motion), *_STEERING_STEPS)
-    moved = (now + xp.clip(to - now, -step, step) for now, to, step in zip(command, target, paces, strict=True))
-    return Command(*moved)
+    still = (command.forward == 0) & (command.lateral == 0) & (command.yaw_rate == 0) & _feet_down(motion, time)
+    wanted = target.stand * (still | (command.stand > 0))
+    stand = command.stand + xp.clip(wanted - command.stand, -CONTROL_PERIOD_S / STAND_S, CONTROL_PERIOD_S / STAND_S)
+    speeding = RAMP_PER_S * mean_speed(motion)
+    paces = xp.where(abs(target.forward) < abs(command.forward), BRAKING, speeding), LATERAL_PACE, YAW_PACE
+    steps = (CONTROL_PERIOD_S * pace * (stand == 0) for pace in paces)
+    moved = [now + xp.clip(to - now, -step, step) for now, to, step in zip(command, target, steps, strict=False)]
+    return Command(*moved, stand=stand)
+
+
+def _feet_down(motion: ReferenceMotion, time: Array) -> Array:
+    """Whether a foot has just landed, [B], bool: strides begin so, and the second step in their middle."""
+    half = motion.qpos.shape[0] // 2
+    return time % half == 0
 
 
 def approach(motion: ReferenceMotion, state: MotionState) -> MotionState:
     """The same moment with a command nearer to its target; the reference does not jump."""
-    command = toward(motion, state.command, state.target_command)
+    command = toward(motion, state.command, state.target_command, state.time)
     before, after = (sample(motion, state.time, told)[0][:, PELVIS_X] for told in (state.command, command))
     return state._replace(command=command, origin_x=state.origin_x + before - after)

@@ -14,6 +14,10 @@ from cassie_mjx.robot.arrays import Array, namespace
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X, PELVIS_Z
 from cassie_mjx.robot.rotation import turned, turned_orientation
 
+LEASH_M = 0.3
+"""How far to the side of the path a robot may be before the path comes after it, where the command steers, m. Training
+has a leash of its own (`walk.leash_m`)."""
+
 _AFTER_Y, _AFTER_QUATERNION = PELVIS_Z, int(cassie.PELVIS_QUATERNION[-1]) + 1
 _AFTER_VELOCITY_Y = cassie.HORIZONTAL_VELOCITY.stop
 
@@ -81,6 +85,12 @@ def bend_beside(path: Path, command: Command, now: Array, ahead: Array, x: Array
     return bend(path, command, now, ahead, x - now[:, PELVIS_X])
 
 
+def stay_beside(path: Path, command: Command, now: Array, qpos: Array, qvel: Array) -> Path:
+    """The path within `LEASH_M` of robots at qpos [B, 35] and qvel [B, 32], whose reference is `now` [B, 35]."""
+    aside = (into(path, qpos, qvel)[0] - now)[:, cassie.PELVIS_Y]
+    return shift(path, command, aside - namespace(aside).clip(aside, -LEASH_M, LEASH_M))
+
+
 def shift(path: Path, command: Command, aside: Array) -> Path:
     """The path moved to its left by `aside` [B], m, where the command steers; else it stays."""
     return _by(path, command, _leftwards(path.heading, aside), 0 * aside)
@@ -89,9 +99,8 @@ def shift(path: Path, command: Command, aside: Array) -> Path:
 def _by(path: Path, command: Command, moved: Array, turn: Array) -> Path:
     """The path moved by [B, 2], m, in the world and turned by [B], rad, where the command steers; else it stays."""
     xp = namespace(path.x, moved)
-    steered = (command.lateral != 0) | (command.yaw_rate != 0)
     later = Path(path.x + moved[:, 0], path.y + moved[:, 1], path.heading + turn)
-    return Path(*(xp.where(steered, new, old) for new, old in zip(later, path, strict=True)))
+    return Path(*(xp.where(command.steers, new, old) for new, old in zip(later, path, strict=True)))
 
 
 def _leftwards(heading: Array, way: Array) -> Array:

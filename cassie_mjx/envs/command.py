@@ -24,8 +24,10 @@ from cassie_mjx.robot.arrays import Array, namespace
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X
 from cassie_mjx.robot.ground import START_X_M, Ground
 
-# What the key of a speed is folded with for the steering.
-_STEERING_KEY = 2
+# What the key of a speed is folded with for the steering, and for who is to stand.
+_STEERING_KEY, _STAND_KEY = 2, 3
+STANDING_SHARE = 0.15
+"""Share of the commands by which robots are to stand, where they are steered."""
 
 
 class CommandRange(NamedTuple):
@@ -52,9 +54,10 @@ def command_range(motion: ReferenceMotion, speed: str, command: str) -> CommandR
 
 
 def limits(motion: ReferenceMotion, commands: CommandRange) -> np.ndarray:
-    """Least and greatest forward velocity, lateral velocity (m/s) and yaw rate (rad/s) of a range, [3, 2]."""
+    """Least and greatest of each component of a `Command` of a range, [4, 2]."""
     forward = np.asarray(commands.speeds) * float(mean_speed(motion))
-    return np.stack([forward, *(np.array([-limit, limit]) for limit in commands.steering)])
+    stand = np.array([0.0, float(commands.steering != STRAIGHT)])
+    return np.stack([forward, *(np.array([-limit, limit]) for limit in commands.steering), stand])
 
 
 def start_motion(motion: ReferenceMotion, time: jax.Array, command: Command, ground: Ground) -> MotionState:
@@ -62,12 +65,13 @@ def start_motion(motion: ReferenceMotion, time: jax.Array, command: Command, gro
 
     Args:
       motion: what is imitated.
-      time: control step of the motion that they start at, [B].
+      time: control step of the motion that they start at, [B]; robots that stand begin where a foot has just landed.
       command: now and as a target.
       ground: of the robots, [B]; where it is not flat, the pelvis starts at `START_X_M`.
     """
-    zeros = jnp.zeros_like(command.forward)
-    state = MotionState(time, jnp.zeros_like(time), command, command, zeros, Path(zeros, zeros, zeros))
+    zeros, half = jnp.zeros_like(command.forward), motion.qpos.shape[0] // 2
+    landed = jnp.where(jnp.asarray(command.stand) > 0, time // half * half, time)
+    state = MotionState(landed, jnp.zeros_like(time), command, command, zeros, Path(zeros, zeros, zeros))
     first, _ = reference(motion, state)
     return state._replace(origin_x=ground.uneven * (START_X_M - first[:, PELVIS_X]))
 
@@ -94,7 +98,9 @@ def draw_command(motion: ReferenceMotion, key: jax.Array, robots: int, commands:
         return told
     lateral_key, yaw_key = jax.random.split(jax.random.fold_in(key, _STEERING_KEY))
     sides = (draw_factor(each, robots, (-1.0, 1.0)) for each in (lateral_key, yaw_key))
-    return steered(told.forward, commands.steering, *sides)
+    walking = steered(told.forward, commands.steering, *sides)
+    stands = jax.random.bernoulli(jax.random.fold_in(key, _STAND_KEY), STANDING_SHARE, (robots,))
+    return merge(stands, Command.ahead(0 * told.forward)._replace(stand=1 + 0 * told.forward), walking)
 
 
 def steered(forward: Array, steering: Steering, lateral: Array, yaw_rate: Array) -> Command:
@@ -105,7 +111,7 @@ def steered(forward: Array, steering: Steering, lateral: Array, yaw_rate: Array)
     xp = namespace(forward)
     beyond = (forward - FULL_STEERING_MPS) / (JOYSTICK_MPS[1] - FULL_STEERING_MPS)
     share = 1 - (1 - LEAST_STEERING) * xp.clip(beyond, 0, 1)
-    return Command(forward, steering.lateral * share * lateral, steering.yaw_rate * share * yaw_rate)
+    return Command(forward, steering.lateral * share * lateral, steering.yaw_rate * share * yaw_rate, 0 * forward)
 
 
 def redraw_target(

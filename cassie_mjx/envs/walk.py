@@ -353,7 +353,7 @@ class WalkEnv:
         ahead = privileged.ahead(lead)
         if not self.config.draws:
             return ahead
-        mirrored = second_step(motions.reference(self.motion, state)[0]) & self.law.symmetric
+        mirrored = second_step(motions.reference(self.motion, state, ahead=1)[0]) & self.law.symmetric
         step = state.step * self._substeps
         seen = [ahead, privileged.disturbances(scenario, step, self._timestep, state.path.heading, mirrored)]
         if scenario.dynamics is not None:

@@ -25,7 +25,7 @@ STEERING_HELP = {
     "Up, Down": "faster, slower",
     "Left, Right": "turn",
     "Delete, Page Down": "left, right",
-    "End": "stop",
+    "End": "stop; again: stand",
 }
 HELP = {"6, 7, 8, 9": "push forward, backward, left, right", "Home": "start anew"}
 """What the screen says of the keys of every agent."""
@@ -34,12 +34,14 @@ HELP = {"6, 7, 8, 9": "push forward, backward, left, right", "Home": "start anew
 def steer(key: int, target: Command) -> Command:
     """The command of one robot that is the target after one of the keys `STEERING` was pressed.
 
-    What a key changes comes to whole tenths within `motion.schedule.LIMITS`.
+    What a key changes comes to whole tenths within `motion.schedule.LIMITS`. Robots that are to stop are to stand if it
+    is pressed again; any other key makes them walk.
     """
+    *velocities, stand = target
     if key == STOP:
-        return Command(0.0, 0.0, 0.0)
+        return Command(0.0, 0.0, 0.0, max(stand, float(velocities == [0.0, 0.0, 0.0])))
     moved = [
         round(float(np.clip(now + step, low, high)), 1) if step else now
-        for now, step, (low, high) in zip(target, _STEPS[key], LIMITS.tolist(), strict=True)
+        for now, step, (low, high) in zip(velocities, _STEPS[key], LIMITS.tolist(), strict=True)
     ]
-    return Command(*moved)
+    return Command(*moved, stand=0.0)

@@ -149,7 +149,7 @@ class Live:
 
     @property
     def command(self) -> Command | None:
-        """What the policy is commanded now, (m/s, m/s, rad/s); None for an agent that takes no commands."""
+        """What the policy is commanded now, in numbers; None for an agent that takes no commands."""
         if not isinstance(self.agent, SteeredAgent):
             return None
         return Command(*(float(part[0]) for part in self._robots.carry.command))
@@ -197,7 +197,9 @@ def shown_text(live: Live) -> tuple[None, None, str, str]:
 
 def _told(command: Command) -> str:
     # Adding 0 turns -0 into 0.
-    forward, lateral, yaw_rate = (round(float(part), 2) + 0.0 for part in command)
+    forward, lateral, yaw_rate, stand = (round(float(part), 2) + 0.0 for part in command)
+    if stand:
+        return "stand"
     return f"{forward:.2f} m/s ahead, {lateral:.2f} m/s left, {yaw_rate:.2f} rad/s left"
 
 

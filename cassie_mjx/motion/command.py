@@ -18,12 +18,19 @@ class Command(NamedTuple):
     """[B], m/s, to the left."""
     yaw_rate: Array
     """[B], rad/s, to the left."""
+    stand: Array | float = 0.0
+    """[B], from 0, to walk, to 1, to stand with both feet down."""
 
     @classmethod
     def ahead(cls, forward: Array) -> "Command":
         """Straight ahead at `forward` [B], m/s."""
         nothing = namespace(forward).zeros_like(forward)
-        return cls(forward, nothing, nothing)
+        return cls(forward, nothing, nothing, nothing)
+
+    @property
+    def steers(self) -> Array:
+        """Whether the path lies where the robot is, for it turns, moves sideways or stands, [B], bool."""
+        return (self.lateral != 0) | (self.yaw_rate != 0) | (self.stand != 0)
 
 
 class Steering(NamedTuple):
@@ -41,6 +48,8 @@ JOYSTICK, JOYSTICK_MPS = Steering(0.4, 0.8), (-0.7, 2.8)
 FULL_STEERING_MPS, LEAST_STEERING = 2.1, 0.5
 """Forward speed up to which all of the steering is drawn, m/s, and the share of it at the highest speed."""
 COMMANDS = ("speed", "joystick")
+STAND = "stand"
+"""The command to stand, as people write it."""
 
 
 def speed_factor(speed: str, valid: str = SPEEDS) -> float:

@@ -54,6 +54,7 @@ def sample(motion: ReferenceMotion, time: Array, command: Command | None = None)
       command: of the robots; the motion's own speed unless given. Forward, pelvis x and its velocity are
         stretched (Xie et al. 2018): x'(t) = v' / v x(t). The lateral velocity and the yaw rate are those of the path
         (`control.path.bend`): they are added to the pelvis' velocities, and no place in the path's frame changes.
+        Robots that stand are in the published standing pose; in between, in a mixture of it and the motion.
     """
     xp = namespace(motion.qpos, time)
     samples = motion.qpos.shape[0]
@@ -68,7 +69,15 @@ def sample(motion: ReferenceMotion, time: Array, command: Command | None = None)
     if command is None:
         return qpos, qvel
     qpos, qvel = stretch_states(qpos, qvel, speed_ratio(motion, command))
-    return qpos, _steered(qpos, qvel, command)
+    return _standing(qpos, _steered(qpos, qvel, command), command.stand)
+
+
+def _standing(qpos: Array, qvel: Array, stand: Array | float) -> tuple[Array, Array]:
+    """States [B, 35] and [B, 32] of robots that stand, from 0, which changes no bit, to 1, [B]; x stays."""
+    xp = namespace(qpos, stand)
+    share = xp.asarray(stand, dtype=qpos.dtype)[..., None]
+    pose = xp.where(np.arange(cassie.NQ) == PELVIS_X, qpos, xp.asarray(cassie.STANDING_QPOS, dtype=qpos.dtype))
+    return xp.where(share > 0, mix_qpos(pose, qpos, share), qpos), (1 - share) * qvel
 
 
 def _steered(qpos: Array, qvel: Array, command: Command) -> Array:

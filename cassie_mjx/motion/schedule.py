@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cassie_mjx.motion.command import JOYSTICK, JOYSTICK_MPS, Command
+from cassie_mjx.motion.command import JOYSTICK, JOYSTICK_MPS, STAND, Command
 from cassie_mjx.robot.arrays import Array, namespace
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
 
@@ -16,7 +16,10 @@ LIMITS = np.array([JOYSTICK_MPS, *([-limit, limit] for limit in JOYSTICK)])
 """Least and greatest forward velocity, lateral velocity (m/s) and yaw rate (rad/s) of a command, [3, 2]."""
 LONGEST_S = 3600.0
 _NAMES = (("forward velocity", "m/s"), ("lateral velocity", "m/s"), ("yaw rate", "rad/s"))
-_FORMS = "a command such as 1.4 or 0.7,0,0.5, commands at times such as '0:1,0,0 5:1,0,0.5', or a file of such lines"
+_FORMS = (
+    "a command such as 1.4, 0.7,0,0.5 or stand, commands at times such as '0:1,0,0 5:1,0,0.5 9:stand', or a file of "
+    "such lines"
+)
 
 
 class CommandSchedule(NamedTuple):
@@ -33,10 +36,12 @@ class CommandSchedule(NamedTuple):
 
         Args:
           times_s: [T] or [B, T], s, rising from 0; each begins at the first control step that is not before it.
-          commands: forward and lateral velocity, m/s, and yaw rate, rad/s, [B, T, 3].
+          commands: the components of each `Command`, [B, T, 4]; or without the last, [B, T, 3], to walk.
         """
         starts = np.ceil(np.asarray(times_s) / CONTROL_PERIOD_S - 1e-9).astype(np.int32)
-        targets = Command(*np.moveaxis(np.asarray(commands, np.float32), -1, 0))
+        numbers = np.zeros((*np.shape(commands)[:-1], len(Command._fields)), np.float32)
+        numbers[..., : np.shape(commands)[-1]] = commands
+        targets = Command(*np.moveaxis(numbers, -1, 0))
         return cls(np.broadcast_to(starts, targets.forward.shape), targets)
 
     def at(self, step: Array) -> Command:
@@ -52,8 +57,8 @@ class CommandSchedule(NamedTuple):
         return CommandSchedule(starts, Command(*targets))
 
 
-def constant(*commands: tuple[float, float, float]) -> CommandSchedule:
-    """One command for each robot, (m/s, m/s, rad/s), for ever."""
+def constant(*commands: tuple[float, ...]) -> CommandSchedule:
+    """One command for each robot, (m/s, m/s, rad/s) or with `Command.stand`, for ever."""
     return CommandSchedule.of(np.zeros(1), np.array(commands)[:, None])
 
 
@@ -61,8 +66,8 @@ def parse_schedule(text: str) -> CommandSchedule:
     """The schedule of one robot that a text stands for.
 
     Args:
-      text: a command, "0.7,0,0.5" (forward and lateral velocity, m/s, and yaw rate, rad/s) or "1.4" (straight ahead);
-        commands that begin at times, s, "0:1,0,0 5:1,0,0.5"; or a file of these, one a line.
+      text: a command, "0.7,0,0.5" (forward and lateral velocity, m/s, and yaw rate, rad/s), "1.4" (straight ahead) or
+        "stand"; commands that begin at times, s, "0:1,0,0 5:1,0,0.5 9:stand"; or a file of these, one a line.
 
     Raises:
       ValueError: it stands for none, a number is out of range, or the times do not rise from 0.
@@ -82,7 +87,7 @@ def parse_schedule(text: str) -> CommandSchedule:
 
 def _content(text: str) -> str:
     """A text of numbers as it is, and else what stands in the file of that name."""
-    if re.fullmatch(r"[-+.,:\d\s]*", text):
+    if re.fullmatch(rf"([-+.,:\d\s]|\b{STAND}\b)*", text):
         return text
     if not os.path.isfile(text):
         raise ValueError(f"command={text} is not known; give {_FORMS}.")
@@ -93,10 +98,11 @@ def _content(text: str) -> str:
 
 
 def _numbers(text: str, entry: str) -> tuple[float, list[float]]:
-    """Time, s, and three numbers of an entry such as "5:1,0,0.5" of a text."""
+    """Time, s, and the components of the command in an entry such as "5:1,0,0.5" of a text."""
     time, _, values = entry.partition(":")
+    stands = values == STAND
     try:
-        seconds, command = float(time), [float(value) for value in values.split(",")]
+        seconds, command = float(time), [0.0] if stands else [float(value) for value in values.split(",")]
     except ValueError:
         seconds, command = 0.0, []
     if len(command) not in (1, 3):
@@ -109,4 +115,4 @@ def _numbers(text: str, entry: str) -> tuple[float, list[float]]:
             raise ValueError(
                 f"command={text} has a {name} of {number:g} {unit}; it must be from {low:g} to {high:g} {unit}."
             )
-    return seconds, command
+    return seconds, [*command, float(stands)]

@@ -124,6 +124,16 @@ STANDING_TARGET = np.array(
     ]
 )
 
+_STANDING_LEG = np.array(
+    [
+        *(0.00448994449, 0.000294577564, 0.498152781, 0.975411886, 0.000860253264, 0.0153150458, -0.219855322),
+        *(-1.1996935, -0.037464824, 1.49473969, -0.0268933949, -1.51999333, 1.50158967, -1.627734),
+    ]
+)
+_OTHER_LEG = _STANDING_LEG * [-1, -1, 1, 1, -1, -1, 1, 1, 1, 1, 1, 1, 1, 1]
+STANDING_QPOS = np.concatenate([[0, 0, 0.988208798, 1, 0, 0, 0], _STANDING_LEG, _OTHER_LEG])
+"""The keyframe "standing", [35]: m, unit quaternions w x y z, rad."""
+
 
 def pd_torque(
     target: Array, q: Array, qdot: Array, kd_scale: Array | float = 1.0, kp_scale: Array | float = 1.0

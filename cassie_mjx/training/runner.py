@@ -19,8 +19,9 @@ from rich.console import Console
 
 from cassie_mjx import cli
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
-from cassie_mjx.agents.policy import PolicyAgent, policy_step
+from cassie_mjx.agents.policy import PolicyAgent
 from cassie_mjx.agents.policy_file import learner_policy, save_policy
+from cassie_mjx.control.step import policy_step
 from cassie_mjx.envs.command import limits
 from cassie_mjx.evaluation.returns import walk_returns
 from cassie_mjx.motion.command import speed_factors

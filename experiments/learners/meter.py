@@ -11,10 +11,11 @@ from typing import Annotated, Any
 import jax
 import jax.numpy as jnp
 
-from cassie_mjx.agents.policy import PolicyAgent, policy_step
+from cassie_mjx.agents.policy import PolicyAgent
 from cassie_mjx.configuration.values import Checked, Range, Seed
 from cassie_mjx.control.law import ControlLaw
 from cassie_mjx.control.observation import Seen
+from cassie_mjx.control.step import policy_step
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.evaluation.returns import walk_returns
 from cassie_mjx.motion.files import load_motion
