@@ -27,6 +27,8 @@ def at(schedule, step):
         ("-0.7,0.4,-0.8", {0: [-0.7, 0.4, -0.8]}),
         # 156 control steps of 32 ms are 4.992 s; 62.5 are 2 s.
         ("0:1,0,0 5:1,0,0.5", {0: [1, 0, 0], 156: [1, 0, 0], 157: [1, 0, 0.5], 1000: [1, 0, 0.5]}),
+        ("stand", {0: [0, 0, 0, 1]}),
+        ("0:2 2:stand 3:0", {62: [2, 0, 0], 63: [0, 0, 0, 1], 94: [0, 0, 0]}),
         ("0:2 2:0.7,0.1,0  8:0", {62: [2, 0, 0], 63: [0.7, 0.1, 0], 249: [0.7, 0.1, 0], 250: [0, 0, 0]}),
     ],
 )
@@ -35,13 +37,15 @@ def test_a_text_says_what_is_commanded_when(text, expected, tmp_path):
     file.write_text("\n".join(text.split()) + "\n")
     for schedule in map(parse_schedule, (text, str(file))):
         for step, command in expected.items():
-            np.testing.assert_allclose(at(schedule, step), command, atol=1e-6)
+            np.testing.assert_allclose(at(schedule, step), [*command, 0] if len(command) < 4 else command, atol=1e-6)
 
 
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("fast", r"command=fast is not known; give a command such as 1\.4 or 0\.7,0,0\.5, commands at times such as"),
+        ("fast", r"command=fast is not known; give a command such as 1\.4, 0\.7,0,0\.5 or stand, commands at times"),
+        ("understand", "command=understand is not known"),
+        ("0:stand,0,0", "has 0:stand,0,0 in it"),
         ("nan", "command=nan is not known"),
         ("1e-1", "command=1e-1 is not known"),
         ("0.7,0", "command=0.7,0 has 0:0.7,0 in it; give a command such as"),
@@ -81,7 +85,7 @@ def test_robots_have_schedules_of_their_own_on_numpy_and_jax():
     for each in (schedule, jax.tree.map(jnp.asarray, schedule)):
         found = np.stack(each.at(np.array([40, 40])), axis=1)
         # 40 steps are 1.28 s.
-        np.testing.assert_array_equal(found, [commands[0, 1], commands[1, 0]])
+        np.testing.assert_array_equal(found, [[*commands[0, 1], 0], [*commands[1, 0], 0]])
     np.testing.assert_array_equal(jax.jit(CommandSchedule.at)(schedule, np.array([0, 63])).forward, [0, 9])
 
 
@@ -121,13 +125,13 @@ def test_the_command_goes_to_its_target_at_the_pace_of_training(policy):
     paces = np.array([0.625 * own, 0.4, 1.6]) * DT
     for k in range(1, 51):
         _, carry = agent.step(carry, sensed, None)
-        told = np.stack(carry.command, axis=1)
+        told = np.stack(carry.command[:3], axis=1)
         expected = np.array([own, 0, 0]) + k * paces * [1, 1, -1]
         np.testing.assert_allclose(told, np.tile(np.clip(expected, [-1, -1, -0.8], [2, 0.4, 1]), (3, 1)), atol=1e-4)
     # After 1.6 s it comes back; a command that is given comes before the schedule.
     _, back = agent.step(carry, sensed, None)
     np.testing.assert_allclose(back.command.yaw_rate, -0.8 + paces[2], atol=1e-4)
-    _, live = agent.step(carry, sensed, Command(*np.full((3, 3), 0.4, np.float32)))
+    _, live = agent.step(carry, sensed, Command(*np.array([[0.4] * 3] * 3 + [[0.0] * 3], np.float32)))
     np.testing.assert_allclose(live.command.lateral, 0.4, atol=1e-6)
     np.testing.assert_array_equal(live.pilot.step, 51)
 
@@ -158,7 +162,7 @@ def test_its_lead_walks_straight_at_the_first_speed_and_then_the_schedule_begins
     lead, carry = agent.lead, agent.lead.init(sensed)
     for _ in range(100):
         _, carry = lead.step(carry, sensed, None)
-    np.testing.assert_allclose(np.stack(carry.command, axis=1), np.tile([1, 0, 0], (3, 1)), atol=1e-6)
+    np.testing.assert_allclose(np.stack(carry.command, axis=1), np.tile([1, 0, 0, 0], (3, 1)), atol=1e-6)
     np.testing.assert_array_equal(carry.walk.path, np.zeros((3, 3)))
     taken = agent.take_over(carry)
     np.testing.assert_array_equal(taken.pilot.step, 0)
@@ -181,7 +185,7 @@ def test_a_command_line_commands_a_policy():
     agent = cli.parse(AgentConfig, ["policy=any", "command=0.7,0,0.5"]).agent()
     assert isinstance(agent, SteeredAgent)
     assert (agent.name, agent.provenance) == ("any command=0.7,0,0.5", make_agent("any").provenance)
-    np.testing.assert_allclose(at(agent.schedule, 0), [0.7, 0, 0.5], atol=1e-7)
+    np.testing.assert_allclose(at(agent.schedule, 0), [0.7, 0, 0.5, 0], atol=1e-7)
     for arguments, sentence in (
         (["speed=2x"], "speed=2x with command=1: a command has the speed in it; leave one out."),
         (["policy=controller:stiff"], "policy=controller:stiff with command=1: a single policy takes a command, and"),

@@ -220,9 +220,9 @@ def test_a_critic_sees_the_scenario_in_the_mirror_of_the_policy(hills, motion, s
         8, ground=ground, push=[[50.0, 30.0, 0.0]], push_start=0, push_stop=[[40], [0]] * 4, delay=np.arange(8) % 4
     )
     env = WalkEnv(hills, motion, WalkConfig(scenario=ALL, symmetric=symmetric), 8)
-    # Half a stride apart: the first four robots are in the one step, the others in the other.
-    state = env.reset_at(np.repeat([0, 11], 4).astype(np.int32), scenario)
-    second = np.asarray(motion.qpos)[np.asarray(state.motion.time)][:, cassie.HIP_PITCH_QPOS]
+    # Half a stride apart, where one control step later is in the other step: that is what the policy sees.
+    state = env.reset_at(np.repeat([3, 14], 4).astype(np.int32), scenario)
+    second = np.asarray(motion.qpos)[np.asarray(state.motion.time) + 1][:, cassie.HIP_PITCH_QPOS]
     side = np.where(symmetric & (second[:, 0] < second[:, 1]), -1, 1)
     assert set(side.tolist()) == ({-1, 1} if symmetric else {1})
     pushed = np.array([1, 0] * 4)

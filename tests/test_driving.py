@@ -14,6 +14,7 @@ from cassie_mjx.control.command import toward
 from cassie_mjx.evaluation import driving, eight
 from cassie_mjx.evaluation.eight import Pursuit
 from cassie_mjx.evaluation.setup import EvalSetup
+from cassie_mjx.evaluation.standing import PoseRecord, soles_of, standing_result
 from cassie_mjx.evaluation.steady import begin
 from cassie_mjx.evaluation.suites import SUITES
 from cassie_mjx.evaluation.track import TrackRecord, drive, over_strides, velocities
@@ -21,6 +22,7 @@ from cassie_mjx.evaluation.trial import NeverSteady
 from cassie_mjx.motion.command import Command
 from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.model import ModelConfig, load_model
 
 DT = 0.032
 
@@ -69,7 +71,7 @@ def test_tracks_are_of_each_control_step_and_end_with_a_fall(engine):
 
 def test_a_track_of_diverged_physics_stays_finite():
     state = Still().start(points(), np.zeros(2)).physics
-    record = TrackRecord.begin(state, 2)
+    record = TrackRecord.begin(state.qpos, 2)
     qpos = np.array(state.qpos)
     qpos[0, 5] = np.nan
     qpos[1, :7] = 1, 2, 0.9, np.sqrt(0.5), 0, 0, np.sqrt(0.5)
@@ -114,7 +116,8 @@ def test_random_commands_change_every_two_seconds_within_the_range():
     schedule = driving.random_schedule()
     assert schedule.starts.shape == (100, 30)
     np.testing.assert_array_equal(schedule.starts[7, :3], [0, 63, 125])
-    forward, lateral, yaw_rate = map(np.asarray, schedule.targets)
+    forward, lateral, yaw_rate, stand = map(np.asarray, schedule.targets)
+    assert not stand.any()
     for component, low, high in ((forward, -0.7, 2.8), (lateral, -0.4, 0.4), (yaw_rate, -0.8, 0.8)):
         assert low <= component.min() < low + 0.02 * (high - low)
         assert high - 0.02 * (high - low) < component.max() <= high
@@ -158,10 +161,10 @@ def test_the_pursuit_keeps_to_the_circle_that_a_robot_is_on():
     np.testing.assert_allclose(behind.yaw_rate, -0.8)
 
 
-def ideal(agent, setup, forward_mps, phases, pilot, seconds):
+def ideal(agent, setup, forward_mps, phases, pilot, seconds, kind=TrackRecord):
     """Tracks of points that do what they are commanded, at the pace of commands."""
     robots = len(phases)
-    place, heading = np.zeros((robots, 2)), np.zeros(robots)
+    place, heading, steps = np.zeros((robots, 2)), np.zeros(robots), np.arange(robots)
     command = Command.ahead(np.full(robots, forward_mps))
     motion = jax.tree.map(np.asarray, agent.motion)
     qpos, qvel, places = np.zeros((robots, cassie.NQ)), np.zeros((robots, cassie.NV)), []
@@ -169,12 +172,19 @@ def ideal(agent, setup, forward_mps, phases, pilot, seconds):
         places.append(np.column_stack([place, (heading + np.pi) % (2 * np.pi) - np.pi]))
         qpos[:, :2], qpos[:, 3], qpos[:, 6] = place, np.cos(heading / 2), np.sin(heading / 2)
         target, pilot = pilot.target(Sensed(qpos, qvel))
-        command = toward(motion, command, target)
+        command = toward(motion, command, target, steps)
+        steps = steps + 1
         middle = heading + DT / 2 * command.yaw_rate
         cos, sin = np.cos(middle), np.sin(middle)
         way = [command.forward * cos - command.lateral * sin, command.forward * sin + command.lateral * cos]
         place, heading = place + DT * np.stack(way, axis=1), heading + DT * command.yaw_rate
-    return TrackRecord(np.full(robots, len(places) - 1), np.zeros(robots, bool), np.stack(places, axis=1))
+    track = TrackRecord(np.full(robots, len(places) - 1), np.zeros(robots, bool), np.stack(places, axis=1))
+    if kind is TrackRecord:
+        return track
+    poses = np.tile(cassie.STANDING_QPOS, (robots, len(places), 1))
+    poses[..., :2] = track.places[..., :2]
+    torque = np.full((robots, len(places) - 1), 6.0 if pilot.schedule.targets.stand.any() else 8.0)
+    return PoseRecord(**vars(track), qpos=poses, torque=torque, pending=np.zeros(robots))
 
 
 def test_points_that_do_as_they_are_told_have_no_errors(agent, monkeypatch):
@@ -183,18 +193,21 @@ def test_points_that_do_as_they_are_told_have_no_errors(agent, monkeypatch):
     found = values(result)
     errors = [found.pop(f"command_error_{name}") for name in driving.COMPONENTS]
     assert max(errors) < 1e-4
-    # 0.625 of 0.71 m/s a second: 4.5 s from 2 m/s to 0, and 6.3 s from 0 to 2.8 m/s; the mean over a stride of 0.704 s
-    # is within 0.1 m/s of that some 0.14 s later. 0.8 rad/s is there after 0.5 s.
+    # 1.5 m/s² from 2 m/s to 0, and 0.625 of 0.71 m/s a second, 6.3 s, from 0 to 2.8 m/s; the mean over a stride of
+    # 0.704 s is within 0.1 m/s of that some 0.14 s later, or 0.4 s as it brakes. 0.8 rad/s is there after 0.5 s.
     pace = 0.625 * float(agent.motion.stride_length) / (22 * DT)
-    later = 0.704 - np.sqrt(2 * 0.704 * 0.1 / pace)
-    assert found.pop("stop_s") == pytest.approx(2 / pace + later, abs=DT)
-    assert found.pop("sprint_s") == pytest.approx(2.8 / pace + later, abs=DT)
+    late = {rate: 0.704 - np.sqrt(2 * 0.704 * 0.1 / rate) for rate in (1.5, pace)}
+    assert found.pop("stop_s") == pytest.approx(2 / 1.5 + late[1.5], abs=DT)
+    assert found.pop("sprint_s") == pytest.approx(2.8 / pace + late[pace], abs=DT)
+    assert found.pop("stand_foot_slip_m") < 1e-6
+    assert found.pop("stand_torque_share") == pytest.approx(0.75)
     assert found.pop("turn_s") == pytest.approx(0.25 + 2 * np.pi / 0.8, abs=DT)
     assert found.pop("figure_eight_error_m") < 0.05
     assert set(found.values()) == {1}
     assert found.keys() == {
         "command_survived",
         "command_random_survived_60s",
+        "stand_survived_60s",
         *(f"{name}_survived" for name in ("turn", "stop", "sprint", "figure_eight")),
     }
     assert result.cells is not None
@@ -206,6 +219,41 @@ def test_points_that_do_as_they_are_told_have_no_errors(agent, monkeypatch):
 def test_who_does_not_complete_the_eight_has_no_error():
     standing = TrackRecord(np.zeros(2, int), np.zeros(2, bool), np.zeros((2, 1403, 3)))
     assert values(driving.eight_result(standing)) == {"figure_eight_survived": 0}
+
+
+@pytest.mark.parametrize("engine", [points, compiled_points])
+def test_poses_and_torques_are_of_each_control_step(engine):
+    """Points with 1 m/s² along x; the second falls after half a second."""
+    physics = engine(pull=1.0, falls=lambda start, velocity, t, scenario: (start == 1) & (t > 0.5))
+    starts = Still().start(points(), np.zeros(2))
+    stood = drive(Still(), physics, starts, 1.28, 2, kind=PoseRecord)
+    track = drive(Still(), physics, starts, 1.28, 2)
+    np.testing.assert_array_equal(stood.places, track.places)
+    np.testing.assert_array_equal(stood.qpos[:, :, 0], track.places[:, :, 0])
+    np.testing.assert_array_equal(stood.torque[1, 17:], 0)
+    asked = cassie.pd_torque(np.zeros(10), stood.qpos[:, 5, cassie.ACTIVE_QPOS], np.zeros(10))
+    np.testing.assert_allclose(stood.torque[:, 5], abs(asked).mean(axis=1), rtol=1e-5)
+
+
+def test_a_sole_that_creeps_is_found_and_who_falls_does_not_count():
+    model = load_model(ModelConfig())
+    stood, stepped = (PoseRecord.begin(np.tile(cassie.STANDING_QPOS, (2, 1)), steps) for steps in (1969, 312))
+    qpos = stood.qpos.copy()
+    left, right = soles_of(model, qpos[0, 0])
+    np.testing.assert_allclose(right, left * [1, -1, 1], atol=1e-9)
+    assert 0.01 < left[2] < 0.03
+    # Before 6 s it may go anywhere; then the first one creeps by 3 cm and comes back.
+    qpos[0, :187, 0] = 1.0
+    qpos[0, 900, :2] = 0.018, 0.024
+    qpos[1, 500, 0] = 1.0
+    fell = np.array([False, True])
+    stood = replace(stood, qpos=qpos, fell=fell, torque=np.array([[3.0], [90.0]]) + np.zeros((2, 1969)))
+    torque = np.concatenate([np.full((2, 156), 50.0), np.full((2, 156), 4.0)], axis=1)
+    found = values(standing_result(model, stood, replace(stepped, torque=torque)))
+    assert found.pop("stand_survived_60s") == 0.5
+    assert found == {"stand_foot_slip_m": pytest.approx(0.03), "stand_torque_share": pytest.approx(0.75)}
+    fallen = PoseRecord.fallen(2, 63.0)
+    assert values(standing_result(model, fallen, stepped)) == {"stand_survived_60s": 0}
 
 
 def test_what_cannot_be_commanded_is_refused(agent):

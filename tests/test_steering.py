@@ -14,6 +14,7 @@ from cassie_mjx.agents.controller import Controller
 from cassie_mjx.agents.make import make_policy_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.shipped import shipped_policies
+from cassie_mjx.agents.steered import SteeredAgent
 from cassie_mjx.agents.types import Sensed
 from cassie_mjx.control import command as motions
 from cassie_mjx.control.command import MotionState
@@ -25,6 +26,7 @@ from cassie_mjx.evaluation import returns
 from cassie_mjx.motion.command import JOYSTICK, STRAIGHT, Command
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import ReferenceMotion, mean_speed, sample
+from cassie_mjx.motion.schedule import constant
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot import cassie
@@ -52,7 +54,7 @@ def gliding(motion):
 def begin(*told):
     """A robot at the origin with this command, by NumPy."""
     zeros = np.zeros(1)
-    command = Command(*(np.array([number]) for number in told))
+    command = Command(*(np.array([number]) for number in (*told, *[0.0] * (4 - len(told)))))
     return MotionState(np.array([0]), np.array([0]), command, command, zeros, Path(zeros, zeros, zeros))
 
 
@@ -179,7 +181,7 @@ def test_a_mirrored_robot_under_the_mirrored_command_sees_the_reflection(motion)
     command = Command(0.7 + numbers[0], numbers[1], numbers[2])
     state = MotionState(time, time, command, command, zeros, Path(1 + zeros, 2 + zeros, 3 * numbers[0]))
     image = state._replace(
-        command=Command(command.forward, -command.lateral, -command.yaw_rate),
+        command=command._replace(lateral=-command.lateral, yaw_rate=-command.yaw_rate),
         path=Path(state.path.x, -state.path.y, -state.path.heading),
     )
     for _ in range(5):
@@ -203,8 +205,13 @@ def test_commands_change_at_a_limited_pace_and_the_reference_does_not_jump(motio
         state = motions.approach(motion, state)
         np.testing.assert_allclose(out_of(state.path, *motions.reference(motion, state))[0], before, atol=1e-6)
         told = np.array(state.command)[:, 0]
-        np.testing.assert_allclose(told, [0.7 + k * steps[0], -k * steps[1], min(0.8, k * steps[2])], atol=1e-9)
+        np.testing.assert_allclose(told, [0.7 + k * steps[0], -k * steps[1], min(0.8, k * steps[2]), 0], atol=1e-9)
         state = motions.tick(motion, state)
+    # It brakes at 1.5 m/s²; the way to a higher speed backwards is none of braking.
+    now = state.command.forward
+    for target, expected in ((0.1, now - 1.5 * DT), (-2.0, now - steps[0])):
+        told = Command(*np.array([[target], [0.0], [0.0], [0.0]]))
+        np.testing.assert_allclose(motions.toward(motion, state.command, told, state.time).forward, expected)
 
 
 def test_the_leash_holds_to_the_side_where_the_command_steers(motion):
@@ -221,7 +228,11 @@ def test_the_leash_holds_to_the_side_where_the_command_steers(motion):
 def test_a_joystick_draws_all_ranges_but_not_the_corners(motion):
     commands = command_range(motion, "1x", "joystick")
     told = draw_command(motion, jax.random.key(0), 20_000, commands)
-    forward, lateral, yaw_rate = (np.asarray(part) for part in told)
+    stands = np.asarray(told.stand) == 1
+    assert abs(stands.mean() - 0.15) < 0.01
+    assert set(np.asarray(told.stand).tolist()) == {0, 1}
+    assert not np.any(np.array(told)[:3, stands])
+    forward, lateral, yaw_rate = np.array(told)[:3, ~stands]
     for values, low, high in ((forward, -0.7, 2.8), (lateral, -0.4, 0.4), (yaw_rate, -0.8, 0.8)):
         assert (values.min(), values.max()) == (pytest.approx(low, abs=1e-6), pytest.approx(high, abs=1e-6))
         assert abs(values.mean() - (low + high) / 2) < 0.02
@@ -264,19 +275,23 @@ def agent():
 def test_policy_and_controller_bend_the_same_path(agent):
     rng, controller = np.random.default_rng(0), Controller.load("any")
     qpos, qvel = (np.array(x) for x in agent.initial_state(1))
-    carry = agent.init(Sensed(qpos, qvel))
-    for k in range(8):
-        told = (0.7 + 0.1 * k, 0.3, -0.6)
-        command = Command(*np.array(told, np.float32)[:, None])
-        target, carry = agent.step(carry, Sensed(qpos, qvel), command)
+    steered = SteeredAgent(agent, constant((0.7, 0.0, 0.0)), "steered")
+    carry = steered.init(Sensed(qpos, qvel))
+    for k in range(60):
+        told = (0.7 + 0.1 * k, 0.3, -0.6) if k < 8 else "stand"
+        command = Command(*np.array([0, 0, 0, 1.0] if isinstance(told, str) else [*told, 0.0], np.float32)[:, None])
+        target, carry = steered.step(carry, Sensed(qpos, qvel), command)
         np.testing.assert_allclose(controller(qpos[0], qvel[0], command=told), np.asarray(target)[0], atol=1e-4)
         qpos, qvel = qpos + 0.02 * rng.normal(size=qpos.shape), qvel + 0.1 * rng.normal(size=qvel.shape)
-    np.testing.assert_allclose(carry.path.heading, -0.6 * 8 * DT, atol=1e-6)
-    carried = agent.moved(carry, np.array([[1.0, 2.0, 3.0]])).path
-    np.testing.assert_allclose(np.subtract(carried, carry.path)[:, 0], [1, 2, 0], atol=1e-6)
+    # To -0.41 rad/s in 8 steps at 1.6 rad/s², and back.
+    np.testing.assert_allclose(carry.walk.path.heading, -8 * 8 * 1.6 * DT**2, atol=1e-5)
+    assert np.asarray(carry.command.stand) > 0
+    carried = steered.moved(carry, np.array([[1.0, 2.0, 3.0]])).walk.path
+    np.testing.assert_allclose(np.subtract(carried, carry.walk.path)[:, 0], [1, 2, 0], atol=1e-6)
     controller.reset()
-    with pytest.raises(ValueError, match=r"command=\(1, 2\) must be a forward velocity, or three numbers"):
-        controller(qpos[0], qvel[0], command=(1, 2))
+    for wrong in ((1, 2), "sit"):
+        with pytest.raises(ValueError, match=r'must be a forward velocity, three numbers .* or "stand"\.'):
+            controller(qpos[0], qvel[0], command=wrong)
 
 
 def test_a_robot_that_lags_turns_about_its_own_place(agent):
@@ -304,7 +319,7 @@ def test_a_run_steers_and_its_policy_says_so(tmp_path):
     session(tmp_path, command="joystick").train()
     saved = NumpyPolicy.load(tmp_path / "best.npz")
     assert saved.commands is not None
-    np.testing.assert_allclose(saved.commands, [[-0.7, 2.8], [-0.4, 0.4], [-0.8, 0.8]], atol=1e-6)
+    np.testing.assert_allclose(saved.commands, [[-0.7, 2.8], [-0.4, 0.4], [-0.8, 0.8], [0, 1]], atol=1e-6)
     assert saved.speed == 1
     assert NumpyPolicy.load(shipped_policies()["1x-robust"]).commands is None, "of before files said so"
     assert config(None, run_dir=None, command="joystick").folder.name == "joystick-seed0"

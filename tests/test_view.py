@@ -157,10 +157,13 @@ def test_a_terrain_below_zero_is_refused():
         (glfw.KEY_DELETE, (1.0, 0.1, 0.0), (1.0, 0.2, 0.0)),
         (glfw.KEY_PAGE_DOWN, (1.0, 0.0, 0.0), (1.0, -0.1, 0.0)),
         (glfw.KEY_END, (1.0, 0.2, 0.3), (0.0, 0.0, 0.0)),
+        (glfw.KEY_END, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)),
+        (glfw.KEY_END, (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 1.0)),
+        (glfw.KEY_LEFT, (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.1)),
     ],
 )
 def test_a_key_changes_one_component_within_its_range(key, before, after):
-    assert keys.steer(key, Command(*before)) == after
+    assert keys.steer(key, Command(*before)) == Command(*after)
 
 
 def test_no_key_is_one_that_the_viewer_has_a_use_for():
@@ -198,9 +201,9 @@ def test_keys_steer_a_policy(clock):
     live.keys.extend([glfw.KEY_LEFT, glfw.KEY_LEFT, glfw.KEY_UP])
     viewer.keep_showing(window := window_of(live, 30), live)
     forward = round(own.forward + 0.1, 1)
-    assert live.target == (forward, 0, 0.2)
+    assert live.target == (forward, 0, 0.2, 0)
     # 0.48 s at 0.44 m/s a second and 1.6 rad/s a second.
-    assert live.command == pytest.approx((forward, 0, 0.2), abs=1e-5)
+    assert live.command == pytest.approx((forward, 0, 0.2, 0), abs=1e-5)
     np.testing.assert_allclose(live._robots.carry.walk.path.heading, 0.2 * 0.44, atol=0.02)
     _, _, names, values = window.texts[-1]
     assert names.splitlines()[:4] == ["time", "target", "command", "velocity"]

@@ -16,7 +16,8 @@ from cassie_mjx.evaluation import eight
 from cassie_mjx.evaluation.eight import Pursuit
 from cassie_mjx.evaluation.record import SPEED_WINDOW_S
 from cassie_mjx.evaluation.setup import LIMIT_PHASES, LONG_WALK_S, WALK_S, EvalSetup, SuiteResult
-from cassie_mjx.evaluation.track import TrackRecord, drive, over_strides, velocities
+from cassie_mjx.evaluation.standing import STAND_S, PoseRecord, standing_result
+from cassie_mjx.evaluation.track import Track, TrackRecord, drive, over_strides, velocities
 from cassie_mjx.evaluation.trial import Metric, NeverSteady, moved, take
 from cassie_mjx.motion.command import FULL_STEERING_MPS, JOYSTICK, JOYSTICK_MPS
 from cassie_mjx.motion.reference import mean_speed
@@ -36,14 +37,14 @@ EIGHT_SHOWN_STEPS = 8
 
 
 def command(agent: Agent, setup: EvalSetup) -> SuiteResult:
-    """Commands of a grid, random ones, a turn on the spot, a figure of eight, a stop and a sprint.
+    """Commands of a grid, random ones, a turn on the spot, a figure of eight, a stop, a sprint, and standing.
 
     Raises:
       ValueError: it is no single policy, or it steps on the spot.
     """
     if not isinstance(agent, PolicyAgent):
         raise ValueError(f"suite=command commands a single policy, which {agent.name} is not.")
-    parts = (grid, random_commands, turn, figure_eight, stop, sprint)
+    parts = (grid, random_commands, turn, figure_eight, stop, sprint, stand)
     results = [part(agent, setup) for part in parts]
     cells = {name: value for result in results for name, value in (result.cells or {}).items()}
     return SuiteResult([metric for result in results for metric in result.metrics], cells)
@@ -141,6 +142,14 @@ def sprint(agent: PolicyAgent, setup: EvalSetup) -> SuiteResult:
     return SuiteResult(timed("sprint", np.abs(_by_strides(agent, track)[..., 0] - fastest) < CLOSE_MPS, track.fell))
 
 
+def stand(agent: PolicyAgent, setup: EvalSetup) -> SuiteResult:
+    """From 2 m/s to standing, for 60 s; against steps on the spot."""
+    still = (0.0, 0.0, 0.0)
+    stood = _manoeuvre(agent, setup, STOP_FROM_MPS, (*still, 1.0), STAND_S, PoseRecord)
+    stepped = _manoeuvre(agent, setup, 0.0, still, WALK_S, PoseRecord)
+    return standing_result(setup.physics().model, stood, stepped)
+
+
 def figure_eight(agent: PolicyAgent, setup: EvalSetup) -> SuiteResult:
     """How far robots get off the figure of eight, along which `eight.Pursuit` steers them, and the paths driven."""
     pilot = Pursuit(np.zeros(len(LIMIT_PHASES), np.float32))
@@ -186,16 +195,27 @@ def _by_strides(agent: PolicyAgent, track: TrackRecord) -> np.ndarray:
 
 
 def _manoeuvre(
-    agent: PolicyAgent, setup: EvalSetup, forward_mps: float, target: tuple[float, float, float], seconds: float
-) -> TrackRecord:
+    agent: PolicyAgent,
+    setup: EvalSetup,
+    forward_mps: float,
+    target: tuple[float, ...],
+    seconds: float,
+    kind: type[Track] = TrackRecord,
+) -> Track:
     """Robots from eight phases that are told one command."""
     pilot = Scheduled.begin(constant(*[target] * len(LIMIT_PHASES)))
-    return _drive(agent, setup, forward_mps, LIMIT_PHASES, pilot, seconds)
+    return _drive(agent, setup, forward_mps, LIMIT_PHASES, pilot, seconds, kind)
 
 
 def _drive(
-    agent: PolicyAgent, setup: EvalSetup, forward_mps: float, phases: np.ndarray, pilot: Pilot, seconds: float
-) -> TrackRecord:
+    agent: PolicyAgent,
+    setup: EvalSetup,
+    forward_mps: float,
+    phases: np.ndarray,
+    pilot: Pilot,
+    seconds: float,
+    kind: type[Track] = TrackRecord,
+) -> Track:
     """Robots that a pilot steers from the origin on, out of steady walking at a speed, at phases [B] of the stride.
 
     Those of a policy that falls before it walks steadily have fallen at once.
@@ -205,7 +225,7 @@ def _drive(
     try:
         starts = take(setup.starts(driven, different), index)
     except NeverSteady:
-        return TrackRecord.fallen(len(phases), seconds)
+        return kind.fallen(len(phases), seconds)
     robots = moved(driven, starts, -starts.physics.qpos[:, PELVIS_POSITION] * np.array([1.0, 1.0, 0.0]))
     robots = robots._replace(carry=robots.carry._replace(pilot=pilot))
-    return drive(driven, setup.physics(), robots, seconds, setup.num_envs, setup.progress)
+    return drive(driven, setup.physics(), robots, seconds, setup.num_envs, setup.progress, kind)

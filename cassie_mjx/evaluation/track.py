@@ -6,6 +6,7 @@ nothing that the agent remembers.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Self, TypeVar
 
 import jax
 import numpy as np
@@ -16,7 +17,7 @@ from cassie_mjx.evaluation.simulate import Simulation, run_to_end
 from cassie_mjx.evaluation.trial import take
 from cassie_mjx.physics.types import Physics, PhysicsState, Scenario, merge
 from cassie_mjx.robot.arrays import Array, namespace
-from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_POSITION, PELVIS_QUATERNION
+from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, NQ, PELVIS_POSITION, PELVIS_QUATERNION
 from cassie_mjx.robot.rotation import turned, yaw
 
 
@@ -37,28 +38,28 @@ class TrackRecord:
     places: Array
 
     @classmethod
-    def begin(cls, state: PhysicsState, steps: int) -> "TrackRecord":
-        """Of robots that begin `steps` control steps."""
-        robots = len(state.qpos)
-        places = np.repeat(np.asarray(place_of(state.qpos))[:, None], steps + 1, axis=1)
+    def begin(cls, qpos: Array, steps: int) -> Self:
+        """Of robots at qpos [B, 35] that begin `steps` control steps."""
+        robots = len(qpos)
+        places = np.repeat(np.asarray(place_of(qpos))[:, None], steps + 1, axis=1)
         return cls(np.zeros(robots, np.int32), np.zeros(robots, bool), places)
 
     @classmethod
-    def fallen(cls, robots: int, seconds: float) -> "TrackRecord":
+    def fallen(cls, robots: int, seconds: float) -> Self:
         """Of B = `robots` that are down at the origin from the start."""
-        places = np.zeros((robots, round(seconds / CONTROL_PERIOD_S) + 1, 3))
-        return cls(np.zeros(robots, np.int32), np.ones(robots, bool), places)
+        record = cls.begin(np.zeros((robots, NQ)), round(seconds / CONTROL_PERIOD_S))
+        return replace(record, fell=np.ones(robots, bool))
 
     @property
     def finished(self) -> Array:
         """Whether the drive is over, [B]."""
         return self.fell | (self.steps >= self.places.shape[1] - 1)
 
-    def sample(self, state: PhysicsState, target: Array, scenario: Scenario, share: float) -> "TrackRecord":
+    def sample(self, state: PhysicsState, target: Array, scenario: Scenario, share: float) -> Self:
         """See `simulate.Record.sample`: places are of whole control steps."""
         return self
 
-    def update(self, state: PhysicsState, scenario: Scenario) -> "TrackRecord":
+    def update(self, state: PhysicsState, scenario: Scenario) -> Self:
         """See `simulate.Record.update`. A robot whose physics diverged has fallen; its track stays finite."""
         xp, steps = namespace(state.qpos), self.steps + 1
         diverged = ~xp.isfinite(state.qpos).all(axis=1)
@@ -67,6 +68,9 @@ class TrackRecord:
         places = xp.where(later[..., None], place_of(state.qpos)[:, None], self.places)
         counted = replace(self, steps=steps, fell=fell)
         return merge(self.finished, self, merge(diverged, counted, replace(counted, places=places)))
+
+
+Track = TypeVar("Track", bound=TrackRecord)
 
 
 def place_of(qpos: Array) -> Array:
@@ -82,13 +86,14 @@ def drive(
     seconds: float,
     num_envs: int,
     progress: Callable[[int, int], None] | None = None,
-) -> TrackRecord:
+    kind: type[Track] = TrackRecord,
+) -> Track:
     """The tracks of robots that walk for a time, at most `num_envs` of them side by side, as NumPy arrays."""
     number, steps, parts = len(robots.physics.qpos), round(seconds / CONTROL_PERIOD_S), []
     for index in np.array_split(np.arange(number), -(-number // num_envs)):
         part = take(robots, index)
         scenario = Scenario.nominal(len(index), kd_scale=np.asarray(agent.kd_scale))
-        simulation = Simulation(part, scenario, TrackRecord.begin(part.physics, steps))
+        simulation = Simulation(part, scenario, kind.begin(part.physics.qpos, steps))
         parts.append(run_to_end(agent, physics, simulation).record)
         if progress is not None:
             progress(int(index[-1]) + 1, number - int(index[-1]) - 1)

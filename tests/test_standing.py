@@ -1,0 +1,114 @@
+"""Standing: the reference, the way to it and back, and robots of the task."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cassie_mjx.control import command as motions
+from cassie_mjx.control.command import MotionState, onward, toward
+from cassie_mjx.control.path import Path, into, stay_beside
+from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.envs.make import make_env
+from cassie_mjx.evaluation.standing import soles_of
+from cassie_mjx.motion.command import Command
+from cassie_mjx.motion.files import load_motion
+from cassie_mjx.motion.reference import sample
+from cassie_mjx.physics.types import Scenario
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.model import ModelConfig, load_model
+
+DT = 0.032
+STAND = (0.0, 0.0, 0.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return load_motion("walk")
+
+
+def told(*numbers, robots=1):
+    return Command(*(np.full(robots, number) for number in numbers))
+
+
+def test_the_standing_pose_is_the_keyframe():
+    np.testing.assert_allclose(cassie.STANDING_QPOS, load_model(ModelConfig()).key("standing").qpos, atol=1e-8)
+
+
+@pytest.mark.parametrize("xp", [np, jnp])
+def test_a_standing_reference_is_the_pose_and_a_walking_one_is_as_it_was(motion, xp):
+    time = np.arange(22)
+    walking = sample(motion, time, told(0.3, 0.1, 0.2, 0.0, robots=22))
+    without = sample(motion, time, Command(*(np.full(22, number) for number in (0.3, 0.1, 0.2))))
+    for ours, theirs in zip(walking, without, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    qpos, qvel = sample(motion, xp.asarray(time), jax.tree.map(xp.asarray, told(*STAND, robots=22)))
+    np.testing.assert_array_equal(qvel, 0)
+    np.testing.assert_allclose(qpos, np.tile(cassie.STANDING_QPOS, (22, 1)), atol=1e-6)
+    half, velocity = sample(motion, time, told(0.0, 0.0, 0.0, 0.5, robots=22))
+    stepping, speed = sample(motion, time, told(0.0, 0.0, 0.0, 0.0, robots=22))
+    np.testing.assert_allclose(half[:, 2], (0.988208798 + stepping[:, 2]) / 2)
+    np.testing.assert_allclose(velocity, speed / 2)
+    np.testing.assert_allclose(np.linalg.norm(half[:, 3:7], axis=1), 1)
+
+
+def test_strides_begin_with_both_feet_down(motion):
+    soles = soles_of(load_model(ModelConfig()), np.asarray(motion.qpos))[..., 2]
+    assert (soles[[0, 11]] < 0.03).all()
+    assert (soles.max(axis=1)[[4, 5, 6, 7, 15, 16, 17, 18]] > 0.1).all()
+
+
+def test_a_robot_stands_once_it_steps_on_the_spot_and_a_foot_has_landed(motion):
+    """From 0.5 m/s at sample 3: at rest after 11 steps, in sample 14; at sample 22 both feet are down."""
+    command, time, stands, forward = told(0.5, 0.0, 0.2, 0.0), np.array([3]), [], []
+    for _ in range(60):
+        command = toward(motion, command, told(*STAND), time)
+        stands.append(float(np.asarray(command.stand)[0]))
+        forward.append(float(command.forward[0]))
+        time = onward(time, command)
+    assert forward.index(0) == 10, "0.5 m/s at 1.5 m/s² takes 10.4 control steps"
+    assert stands.index(0.1) == 19, "sample 22 is 19 steps after sample 3"
+    np.testing.assert_allclose(stands[19:29], np.arange(1, 11) / 10)
+    assert set(stands[29:]) == {1.0}
+    assert time == 22, "the clock rests"
+    backwards = []
+    for _ in range(12):
+        command = toward(motion, command, told(-0.5, 0.0, 0.0, 0.0), time)
+        backwards.append((float(np.asarray(command.stand)[0]), float(command.forward[0])))
+        time = onward(time, command)
+    np.testing.assert_allclose([stand for stand, _ in backwards], [*np.arange(9, -1, -1) / 10, 0, 0], atol=1e-9)
+    assert [speed for _, speed in backwards[:9]] == [0] * 9, "it walks only when it no longer stands"
+    assert backwards[-1][1] < 0
+    walks = sum(stand == 0 for stand, _ in backwards)
+    assert walks >= 2
+    assert time == 22 + walks, "the clock goes on from where it rested"
+
+
+def test_a_standing_robot_pushed_aside_takes_its_path_along(motion):
+    zeros = np.zeros(1)
+    state = MotionState(np.array([0]), np.array([0]), told(*STAND), told(*STAND), zeros, Path(zeros, zeros, zeros))
+    np.testing.assert_allclose(motions.follow(state, np.array([0.2]), np.array([0.5]), 0.3).path.y, 0.2)
+    qpos, qvel = np.zeros((1, 35)), np.zeros((1, 32))
+    qpos[0, :7] = 4, 0.5, 1, 1, 0, 0, 0
+    now, _ = sample(motion, np.array([0]), told(*STAND))
+    beside = stay_beside(Path(zeros, zeros, zeros), told(*STAND), now, qpos, qvel)
+    np.testing.assert_allclose(into(beside, qpos, qvel)[0][:, 1], 0.3)
+    np.testing.assert_array_equal(stay_beside(Path(zeros, zeros, zeros), told(0.7, 0, 0, 0), now, qpos, qvel), 0)
+
+
+def test_robots_of_the_task_stand_from_the_first_moment_and_their_clock_rests():
+    task = WalkConfig(start_velocity_mps=0, min_reward=None, max_position_error_m=None, command_s=3600)
+    env = make_env(robots=22, physics_hz=500, config=task, command="joystick")
+    command = jax.tree.map(jnp.float32, told(*STAND, robots=22))
+    state = env.reset_at(np.arange(22, dtype=np.int32), Scenario.nominal(22), command)
+    np.testing.assert_array_equal(state.motion.time, [0] * 11 + [11] * 11)
+    np.testing.assert_allclose(
+        np.asarray(state.physics.qpos)[:, 2:], np.tile(cassie.STANDING_QPOS[2:], (22, 1)), atol=1e-6
+    )
+    hold = np.tile(cassie.STANDING_TARGET - cassie.STANDING_QPOS[cassie.ACTIVE_QPOS], (22, 1))
+    for k in range(15):
+        state = env.step(state, hold, jax.random.key(k))
+    assert not np.asarray(state.terminated).any()
+    np.testing.assert_array_equal(state.motion.time, [0] * 11 + [11] * 11)
+    np.testing.assert_array_equal(state.motion.step, 15)
+    assert np.asarray(state.metrics["weighted"]).min() > 0.9, "the published standing targets hold the pose"
