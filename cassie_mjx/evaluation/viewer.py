@@ -97,6 +97,8 @@ class Live:
           terrain: what it walks on.
         """
         self.agent, self.terrain = agent, terrain
+        self.push_n = PUSH_N
+        """Force of a push, N."""
         self.keys: deque[int] = deque()
         """Keys that were pressed and not answered yet, as GLFW numbers them; another thread may append to it."""
         kinematics, self._start = begin(agent, Trial(0, 0.0, terrain=terrain), 0.0)
@@ -129,7 +131,7 @@ class Live:
     def push(self, direction: np.ndarray) -> None:
         """Push the pelvis for 0.2 s in a direction (forward, left) of its heading frame."""
         heading = yaw(self.data.qpos[cassie.PELVIS_QUATERNION])
-        self._push_w = PUSH_N * np.append(turned(direction, heading), 0.0)
+        self._push_w = self.push_n * np.append(turned(direction, heading), 0.0)
         self._push_steps = round(PUSH_S / self.model.opt.timestep)
 
     def advance(self, n_steps: int) -> None:
