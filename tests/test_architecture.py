@@ -42,6 +42,7 @@ VIEWS = {
     "agents/onnx_file.py": "onnx",
     "envs/gymnasium_env.py": "gymnasium",
     "envs/playground_env.py": "playground",
+    "evaluation/web.py": "web",
 }
 # Playground is not among what the tests need.
 OWNERS = {"mujoco_playground": ["playground"], **packages_distributions()}
