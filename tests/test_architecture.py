@@ -24,7 +24,7 @@ LAYERS = (
     {"agents", "envs"},
     {"evaluation"},
     {"training"},
-    {"train", "evaluate", "render", "view", "export", "report"},
+    {"train", "evaluate", "render", "view", "demo", "export", "report"},
 )
 # What needs NumPy alone, so that a user's simulator does too.
 LIGHT = (

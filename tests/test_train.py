@@ -350,7 +350,7 @@ def test_a_sweep_runs_every_combination(monkeypatch, tmp_path):
         ("evaluate_every=0", "evaluate_every=0 must be a whole number from 1 to 1,000,000, or null."),
         ("ppo.clip_epsilon=-1", "ppo.clip_epsilon=-1.0 must be from 0.0001 to 100."),
         ("physics_hz=1000000000", "physics_hz=1000000000 must be a whole number from 100 to 20,000, or null."),
-        ("walk=5", "walk=5 is not known; choose one of undisturbed, robust."),
+        ("walk=5", "walk=5 is not known; choose one of undisturbed, robust, joystick."),
         ("ppo=null", "ppo=null is not known; choose one of paper, parallel, massive."),
         ("=1", "'' is not a key; the keys are speed,"),
         ("walk.=1", "'walk.' is not a key; the keys are reward,"),

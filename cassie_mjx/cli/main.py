@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cassie_mjx.configuration.values import did_you_mean
 
-COMMANDS = ("train", "evaluate", "render", "view", "export", "report")
+COMMANDS = ("train", "evaluate", "render", "view", "demo", "export", "report")
 
 
 def sentence(command: str) -> str:

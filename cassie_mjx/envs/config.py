@@ -124,5 +124,24 @@ WALK_PRESETS = {
         kd_scale=0.3,
         scenario=ScenarioConfig(push_n=300, push_pause_s=2, terrain_m=0.25, delay_s=0.01),
     ),
+    "joystick": WalkConfig(
+        min_reward=None,
+        leash_m=0.3,
+        start_velocity_mps=1.5,
+        command_s=3,
+        kd_scale=0.3,
+        scenario=ScenarioConfig(
+            push_n=500,
+            push_curriculum=True,
+            push_pause_s=2,
+            undisturbed_share=0.4,
+            terrain_m=0.5,
+            slope_rad=0.3,
+            steps_m=0.1,
+            rough_m=0.08,
+            delay_s=0.02,
+        ),
+    ),
 }
-"""The task's presets by name; in `robust` only falls end episodes early, for pushed robots stray and earn little."""
+"""The task's presets by name. In `robust` only falls end episodes early, for pushed robots stray and earn little; in
+`joystick` the leash keeps the reference with them, and those that nothing disturbs are to keep the speed."""
