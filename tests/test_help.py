@@ -109,7 +109,7 @@ def test_the_console_script_runs_a_command(monkeypatch, capsys, tmp_path):
 
 @pytest.mark.parametrize(("word", "hint"), [("fly", ""), ("trian", " Did you mean train?")])
 def test_the_console_script_names_the_commands(monkeypatch, capsys, word, hint):
-    known = "train, evaluate, render, view, export, report"
+    known = "train, evaluate, render, view, demo, export, report"
     expected = f"error: {word!r} is not a command; the commands are {known}.{hint}\n"
     assert ended(monkeypatch, capsys, word) == (2, expected)
 
