@@ -49,7 +49,7 @@ def test_brax_knows_it_by_name():
     [
         ({"speed": "any"}, "speed=any is not a speed; give a factor from 0x to 4x"),
         ({"config": "rough"}, "config='rough' is not known; choose one of undisturbed, robust"),
-        ({"config": "robust"}, "is not for CassieEnv"),
+        ({"config": "robust"}, "are not for CassieEnv"),
         ({"physics_hz": 700}, "physics_hz=700 does not divide"),
     ],
 )
@@ -71,7 +71,7 @@ def test_brax_ppo_trains_on_it(motion):
 
 
 def test_brax_gets_no_disturbances(motion):
-    with pytest.raises(ValueError, match="is not for CassieEnv"):
+    with pytest.raises(ValueError, match="are not for CassieEnv"):
         CassieEnv(motion, WalkConfig(scenario=ScenarioConfig(push_n=100)))
 
 

@@ -47,7 +47,7 @@ def test_cells_and_the_policys_own_provenance_go_to_the_file(tmp_path, monkeypat
     [
         (
             "suite=jump",
-            "suite=jump is not known; choose one of walk, delay, terrain, ground, push, map, forces, command, all",
+            "suite=jump is not known; choose one of walk, delay, terrain, ground, push, map, forces, command, dynamics, ",
         ),
         ("physics=warp", "physics=warp is not known; choose one of native, mjx"),
         (
@@ -71,7 +71,7 @@ def test_an_unknown_policy_ends_the_command_with_one_sentence(tmp_path):
     command = [sys.executable, "-m", "cassie_mjx.evaluate", "policy=9x", f"out={tmp_path}/a.json", "overwrite=true"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    known = "0x, 1x, 1x-robust, 2x, 3x, 4x, any, controller:stiff,"
+    known = "0x, 1x, 1x-robust, 2x, 3x, 4x, any, joystick, controller:stiff,"
     assert done.stderr.splitlines()[-1].startswith(f"error: policy=9x is none of {known}")
     assert "Traceback" not in done.stderr
     assert (tmp_path / "a.json").read_text() == "precious"
