@@ -47,7 +47,7 @@ def test_cells_and_the_policys_own_provenance_go_to_the_file(tmp_path, monkeypat
     [
         (
             "suite=jump",
-            "suite=jump is not known; choose one of walk, delay, terrain, ground, push, map, forces, command, dynamics, ",
+            "suite=jump is not known; choose one of walk, delay, terrain, ground, push, map, forces, command, dynamics",
         ),
         ("physics=warp", "physics=warp is not known; choose one of native, mjx"),
         (
