@@ -19,8 +19,6 @@ STOP_S, SETTLE_S = 3.0, 3.0
 """Time from the command to stand, at 2 m/s, to standing, and from there to where its soles are to stay, s."""
 STAND_S = STOP_S + LONG_WALK_S
 """Duration of the drive, s."""
-SOLE_AXIS = (cassie.TOE + cassie.HEEL) / 2
-"""Middle of the sole's capsule in the frame of the foot body, m."""
 
 
 @jax.tree_util.register_dataclass
@@ -83,11 +81,11 @@ def standing_result(model: mujoco.MjModel, stood: PoseRecord, stepped: PoseRecor
 
 
 def soles_of(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
-    """Middles of the soles of robots at qpos [..., 35], left and right, [..., 2, 3], m."""
+    """Middles of the feet's capsules, of robots at qpos [..., 35], left and right, [..., 2, 3], m."""
     data, soles = mujoco.MjData(model), []
     for each in qpos.reshape(-1, cassie.NQ):
         data.qpos[:] = each
         mujoco.mj_kinematics(model, data)
         feet = data.xmat[cassie.FOOT_BODIES].reshape(2, 3, 3)
-        soles.append(data.xpos[cassie.FOOT_BODIES] + feet @ SOLE_AXIS)
+        soles.append(data.xpos[cassie.FOOT_BODIES] + feet @ cassie.SOLE_AXIS)
     return np.array(soles).reshape(*qpos.shape[:-1], 2, 3)

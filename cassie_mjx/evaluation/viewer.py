@@ -112,7 +112,7 @@ class Live:
         """Go back to the start."""
         self._robots = self._start._replace(physics=self.physics.take(self._start.physics))
         self.target: Command | None = None
-        self._push_w, self._push_steps = np.zeros(3), 0
+        self._push_w, self._push_steps, self._down_s = np.zeros(3), 0, 0.0
         self.places = deque([self.place], round(SPEED_WINDOW_S / SYNC_S))
         """Where it was every 16 ms in the last second."""
         self._walk = simulate(self.agent, self.physics, self._robots, self._scenario, count(1), self._commands())
@@ -144,6 +144,15 @@ class Live:
                 self._robots = next(self._walk).robots
         self._push_steps -= pushed
 
+    def sync(self) -> None:
+        """Do what the keys say and walk on for 16 ms. A robot that has fallen starts anew after a while."""
+        self.answer_keys()
+        self.advance(round(SYNC_S / self.model.opt.timestep))
+        self._down_s = self._down_s + SYNC_S if self.fallen else 0.0
+        if self._down_s >= AFTER_FALL_S:
+            self.restart()
+        self.places.append(self.place)
+
     @property
     def place(self) -> np.ndarray:
         """X and y, m, and heading, rad, of the pelvis in the world, [3]."""
@@ -170,16 +179,10 @@ class Live:
 
 def keep_showing(viewer: mujoco.viewer.Handle, live: Live) -> None:
     """Walk in real time until the window is closed. The viewer writes the mouse's force into the robot's data."""
-    steps = round(SYNC_S / live.model.opt.timestep)
-    down_s, due = 0.0, time.perf_counter()
+    due = time.perf_counter()
     while viewer.is_running():
         with viewer.lock():
-            live.answer_keys()
-            live.advance(steps)
-            down_s = down_s + SYNC_S if live.fallen else 0.0
-            if down_s >= AFTER_FALL_S:
-                live.restart()
-        live.places.append(live.place)
+            live.sync()
         viewer.set_texts(shown_text(live))
         viewer.sync()
         # A computer that is too slow shows slow motion and does not catch up.

@@ -17,7 +17,6 @@ from mjviser import ViserMujocoScene
 from viser import uplot
 from viser._messages import HotkeyKey
 
-from cassie_mjx.evaluation.film import AFTER_FALL_S
 from cassie_mjx.evaluation.track import velocities
 from cassie_mjx.evaluation.viewer import PUSH_N, SYNC_S, Live
 from cassie_mjx.motion.command import Command
@@ -91,20 +90,14 @@ class WebView:
     def run(self, seconds: float = np.inf) -> None:
         """Walk in real time, for ever or for some seconds. A robot that has fallen starts anew."""
         began = due = time.perf_counter()
-        down_s, syncs = 0.0, 0
+        syncs = 0
         while due - began < seconds:
             while self._wishes:
                 self._wishes.popleft()()
-            live = self.live
-            live.answer_keys()
-            live.advance(round(SYNC_S / live.model.opt.timestep))
-            live.places.append(live.place)
-            down_s = down_s + SYNC_S if live.fallen else 0.0
-            if down_s >= AFTER_FALL_S:
-                live.restart()
+            self.live.sync()
             syncs += 1
             if syncs % PICTURE_SYNCS == 0:
-                self.scene.update_from_mjdata(live.data)
+                self.scene.update_from_mjdata(self.live.data)
             if syncs % PLOT_SYNCS == 0:
                 self._plot()
             # A computer that is too slow shows slow motion and does not catch up.

@@ -26,7 +26,7 @@ SHIN = complex(0.06068 + 0.43476, 0.04741 + 0.02)
 LEVEL_FOOT = np.pi / 2 - np.arctan2(*(cassie.TOE - cassie.HEEL)[[1, 0]])
 
 # The sole is the lower side of the foot's capsule; its midpoint is below the midpoint of the capsule's axis.
-SOLE_AXIS = ((cassie.TOE + cassie.HEEL) / 2).astype(np.float32)
+SOLE_AXIS = cassie.SOLE_AXIS.astype(np.float32)
 SOLE_BELOW_AXIS = np.array([0.0, 0.0, cassie.FOOT_RADIUS_M], np.float32)
 _LEVEL_AXIS = complex(*SOLE_AXIS[:2]) * np.exp(1j * LEVEL_FOOT)
 ANKLE_HEIGHT = _LEVEL_AXIS.real + SOLE_BELOW_AXIS[2]

@@ -192,7 +192,7 @@ class _Floors:
         self.height_below = {"flat": None, "terrain": smooth_height_below, "rough": height_below}[scene]
         if [model.geom(i).name for i in range(self.count)] != ["left-floor", "right-floor", "pelvis-floor"]:
             raise ValueError("The model does not begin with the three floors; robot.model.load_mjx_model makes it.")
-        self.foot_centre = (cassie.TOE + cassie.HEEL) / 2
+        self.foot_centre = cassie.SOLE_AXIS
 
     def place(self, d: mjx.Data, origin: jax.Array, ground: Ground) -> mjx.Data:
         """The planes where the robot stands whose x and y count from `origin` [2], m."""

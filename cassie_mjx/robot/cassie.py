@@ -108,6 +108,8 @@ LOOP_QVEL = qvel_index(
 TOE = np.array([-0.052821, 0.092622, 0.0])
 HEEL = np.array([0.069746, -0.010224, 0.0])
 FOOT_RADIUS_M = 0.02
+SOLE_AXIS = (TOE + HEEL) / 2
+"""Middle of that capsule, m."""
 
 # Published PD gains and torque limits of the ten active joints, joint side: N·m/rad, N·m·s/rad, N·m.
 P_GAIN = np.tile([100.0, 100.0, 88.0, 96.0, 50.0], 2)
