@@ -172,7 +172,7 @@ def ideal(agent, setup, forward_mps, phases, pilot, seconds, kind=TrackRecord):
         places.append(np.column_stack([place, (heading + np.pi) % (2 * np.pi) - np.pi]))
         qpos[:, :2], qpos[:, 3], qpos[:, 6] = place, np.cos(heading / 2), np.sin(heading / 2)
         target, pilot = pilot.target(Sensed(qpos, qvel))
-        command = toward(motion, command, target, steps)
+        command = toward(motion, command, target, steps, qvel)
         steps = steps + 1
         middle = heading + DT / 2 * command.yaw_rate
         cos, sin = np.cos(middle), np.sin(middle)

@@ -20,6 +20,7 @@ from cassie_mjx.robot.model import ModelConfig, load_model
 
 DT = 0.032
 STAND = (0.0, 0.0, 0.0, 1.0)
+AT_REST = np.zeros((1, 32))
 
 
 @pytest.fixture(scope="module")
@@ -59,29 +60,51 @@ def test_strides_begin_with_both_feet_down(motion):
 
 
 def test_a_robot_stands_once_it_steps_on_the_spot_and_a_foot_has_landed(motion):
-    """From 0.5 m/s at sample 3: at rest after 11 steps, in sample 14; at sample 22 both feet are down."""
-    command, time, stands, forward = told(0.5, 0.0, 0.2, 0.0), np.array([3]), [], []
+    """From 0.5 m/s at sample 3: at rest after 7 steps, in sample 10; in the step that follows it comes to stand."""
+    command, time, stands, forward, times = told(0.5, 0.0, 0.2, 0.0), np.array([3]), [], [], []
     for _ in range(60):
-        command = toward(motion, command, told(*STAND), time)
+        times.append(int(time[0]))
+        command = toward(motion, command, told(*STAND), time, AT_REST)
         stands.append(float(np.asarray(command.stand)[0]))
         forward.append(float(command.forward[0]))
-        time = onward(time, command)
-    assert forward.index(0) == 10, "0.5 m/s at 1.5 m/s² takes 10.4 control steps"
-    assert stands.index(0.1) == 19, "sample 22 is 19 steps after sample 3"
-    np.testing.assert_allclose(stands[19:29], np.arange(1, 11) / 10)
-    assert set(stands[29:]) == {1.0}
-    assert time == 22, "the clock rests"
+        time = onward(motion, time, command)
+    assert forward.index(0) == 6, "0.5 m/s at 2.5 m/s² takes 6.25 control steps"
+    assert times[stands.index(0.1)] == 11, "a foot lands"
+    np.testing.assert_allclose(stands[8:18], np.arange(1, 11) / 10)
+    assert set(stands[18:]) == {1.0}
+    assert times[8:20] == list(range(11, 23))
+    assert set(times[19:]) == {22}, "the clock rests as the other foot lands"
     backwards = []
     for _ in range(12):
-        command = toward(motion, command, told(-0.5, 0.0, 0.0, 0.0), time)
+        command = toward(motion, command, told(-0.5, 0.0, 0.0, 0.0), time, AT_REST)
         backwards.append((float(np.asarray(command.stand)[0]), float(command.forward[0])))
-        time = onward(time, command)
+        time = onward(motion, time, command)
     np.testing.assert_allclose([stand for stand, _ in backwards], [*np.arange(9, -1, -1) / 10, 0, 0], atol=1e-9)
     assert [speed for _, speed in backwards[:9]] == [0] * 9, "it walks only when it no longer stands"
     assert backwards[-1][1] < 0
-    walks = sum(stand == 0 for stand, _ in backwards)
-    assert walks >= 2
-    assert time == 22 + walks, "the clock goes on from where it rested"
+    assert time == 22 + len(backwards), "the clock goes on at once"
+
+
+def test_a_standing_robot_steps_while_something_moves_it(motion):
+    """0.4 m/s is more than 0.35; the direction does not matter. It stands again in a step of its own."""
+    moved = np.zeros((1, 32))
+    moved[0, :2] = 0.24, -0.32
+    command, time = told(*STAND), np.array([11])
+    for _ in range(5):
+        command = toward(motion, command, told(*STAND), time, moved)
+        time = onward(motion, time, command)
+    np.testing.assert_allclose(command.stand, 0.5)
+    assert time == 16
+    for _ in range(12):
+        command = toward(motion, command, told(*STAND), time, moved)
+        time = onward(motion, time, command)
+    assert command.stand == 0
+    assert time == 28
+    for _ in range(16):
+        command = toward(motion, command, told(*STAND), time, AT_REST)
+        time = onward(motion, time, command)
+    assert command.stand == 1
+    assert time == 44
 
 
 def test_a_standing_robot_pushed_aside_takes_its_path_along(motion):

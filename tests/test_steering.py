@@ -202,16 +202,17 @@ def test_commands_change_at_a_limited_pace_and_the_reference_does_not_jump(motio
     steps = np.array([0.625 * own, 0.4, 1.6]) * DT
     for k in range(1, 16):
         before = out_of(state.path, *motions.reference(motion, state))[0]
-        state = motions.approach(motion, state)
+        state = motions.approach(motion, state, np.zeros((1, 32)))
         np.testing.assert_allclose(out_of(state.path, *motions.reference(motion, state))[0], before, atol=1e-6)
         told = np.array(state.command)[:, 0]
         np.testing.assert_allclose(told, [0.7 + k * steps[0], -k * steps[1], min(0.8, k * steps[2]), 0], atol=1e-9)
         state = motions.tick(motion, state)
-    # It brakes at 1.5 m/s²; the way to a higher speed backwards is none of braking.
+    # It brakes at 2.5 m/s²; the way to a higher speed backwards is none of braking.
     now = state.command.forward
-    for target, expected in ((0.1, now - 1.5 * DT), (-2.0, now - steps[0])):
+    for target, expected in ((0.1, now - 2.5 * DT), (-2.0, now - steps[0])):
         told = Command(*np.array([[target], [0.0], [0.0], [0.0]]))
-        np.testing.assert_allclose(motions.toward(motion, state.command, told, state.time).forward, expected)
+        later = motions.toward(motion, state.command, told, state.time, np.zeros((1, 32)))
+        np.testing.assert_allclose(later.forward, expected)
 
 
 def test_the_leash_holds_to_the_side_where_the_command_steers(motion):
@@ -229,7 +230,7 @@ def test_a_joystick_draws_all_ranges_but_not_the_corners(motion):
     commands = command_range(motion, "1x", "joystick")
     told = draw_command(motion, jax.random.key(0), 20_000, commands)
     stands = np.asarray(told.stand) == 1
-    assert abs(stands.mean() - 0.15) < 0.01
+    assert abs(stands.mean() - 0.2) < 0.01
     assert set(np.asarray(told.stand).tolist()) == {0, 1}
     assert not np.any(np.array(told)[:3, stands])
     forward, lateral, yaw_rate = np.array(told)[:3, ~stands]

@@ -203,7 +203,7 @@ class Controller:
         carry = self._carry or begin(self.law, self.motion, np.zeros(1, np.int32), own_qpos, own_qvel)
         if command is not None:
             last = self._told or Command.ahead(np.full(1, mean_speed(self.motion)))
-            self._told = toward(self.motion, last, _command(command), carry.time)
+            self._told = toward(self.motion, last, _command(command), carry.time, own_qvel)
         told = None if command is None else self._told
         targets, self._carry = policy_step(self.law, self.motion, self._network, carry, own_qpos, own_qvel, told)
         self._step += 1

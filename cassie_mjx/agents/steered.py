@@ -59,7 +59,8 @@ def steered_step(
 ) -> tuple[Array, SteeredCarry]:
     """PD targets [B, 10], rad, under a command one step nearer to the target, and the next carry."""
     target, pilot = carry.pilot.target(sensed)
-    told = toward(policy.motion, carry.command, target if command is None else command, carry.walk.time)
+    goal = target if command is None else command
+    told = toward(policy.motion, carry.command, goal, carry.walk.time, sensed.qvel)
     targets, walk = policy.step(carry.walk, sensed, told)
     return targets, SteeredCarry(walk, told, pilot)
 

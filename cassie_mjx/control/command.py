@@ -5,14 +5,18 @@ from typing import NamedTuple
 from cassie_mjx.control.path import Path, bend, shift
 from cassie_mjx.motion.command import Command
 from cassie_mjx.motion.reference import RAMP_PER_S, ReferenceMotion, mean_speed, sample
+from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array, namespace
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X
 
-BRAKING, LATERAL_PACE, YAW_PACE = 1.5, 0.4, 1.6
+BRAKING, LATERAL_PACE, YAW_PACE = 2.5, 0.4, 1.6
 """Paces at which a walk is slowed down, m/s², brought to another lateral velocity, m/s², and to another yaw rate,
 rad/s²."""
 STAND_S = 0.32
-"""Time in which a robot whose feet are both down comes to stand, and leaves it, s."""
+"""Time in which a robot comes to stand, and leaves it, s: in one step, which brings its feet together or parts them."""
+STEP_OUT_MPS = 0.35
+"""Horizontal speed of the pelvis, m/s, at which a robot that stands begins to step: its capture point, 0.32 s ahead, is
+then a foot's half length before its ankles."""
 
 
 class MotionState(NamedTuple):
@@ -34,7 +38,7 @@ class MotionState(NamedTuple):
 
 def reference(motion: ReferenceMotion, state: MotionState, ahead: int = 0) -> tuple[Array, Array]:
     """The motion as commanded, `ahead` control steps from now, in the path's frame: (qpos [B, 35], qvel [B, 32])."""
-    qpos, qvel = sample(motion, onward(state.time, state.command, ahead), state.command)
+    qpos, qvel = sample(motion, onward(motion, state.time, state.command, ahead), state.command)
     x = qpos[:, PELVIS_X] + state.origin_x
     xp = namespace(qpos, state.origin_x)
     return xp.concatenate([x[:, None], qpos[:, PELVIS_X + 1 :]], axis=1), qvel
@@ -44,12 +48,13 @@ def tick(motion: ReferenceMotion, state: MotionState) -> MotionState:
     """One control step later, along the path and on its bend."""
     now, ahead = (reference(motion, state, steps)[0] for steps in (0, 1))
     path = bend(state.path, state.command, now, ahead)
-    return state._replace(time=onward(state.time, state.command), step=state.step + 1, path=path)
+    return state._replace(time=onward(motion, state.time, state.command), step=state.step + 1, path=path)
 
 
-def onward(time: Array, command: Command, steps: int = 1) -> Array:
-    """The motion's time [B] `steps` control steps later: robots that stand, even a little, stay where they are."""
-    return time + steps * (namespace(time, command.forward).asarray(command.stand) == 0)
+def onward(motion: ReferenceMotion, time: Array, command: Command, steps: int = 1) -> Array:
+    """The motion's time [B], 0 or 1 `steps` later: it rests with robots that stand, once a foot has landed."""
+    walks = namespace(time, command.forward).asarray(command.stand) < 1
+    return time + steps * (walks | ~_feet_down(motion, time))
 
 
 def follow(state: MotionState, lead: Array, aside: Array, leash_m: Array | float) -> MotionState:
@@ -66,21 +71,24 @@ def follow(state: MotionState, lead: Array, aside: Array, leash_m: Array | float
     return state._replace(origin_x=state.origin_x + lead - xp.clip(lead, -leash_m, leash_m), path=path)
 
 
-def toward(motion: ReferenceMotion, command: Command, target: Command, time: Array) -> Command:
+def toward(motion: ReferenceMotion, command: Command, target: Command, time: Array, qvel: Array) -> Command:
     """The command one control step later on its way to a target.
 
-    Forward it gains 0.625 of the motion's speed a second, and brakes faster. A robot comes to stand only when it steps
-    on the spot and both feet are down, and walks only when it no longer stands.
+    Forward it gains 0.625 of the motion's speed a second, and brakes faster. A robot that steps on the spot comes to
+    stand in a step that begins as a foot lands, and walks only when it no longer stands. As long as something moves it
+    at more than `STEP_OUT_MPS` it steps on the spot, whatever it was told.
 
     Args:
       motion: what is walked.
       command: of now.
       target: what it is to become.
       time: control steps since the motion began, [B].
+      qvel: as sensed, [B, 32].
     """
-    xp = namespace(command.forward)
+    xp = namespace(command.forward, qvel)
     still = (command.forward == 0) & (command.lateral == 0) & (command.yaw_rate == 0) & _feet_down(motion, time)
-    wanted = target.stand * (still | (command.stand > 0))
+    calm = xp.square(qvel[:, cassie.HORIZONTAL_VELOCITY]).sum(axis=-1) < STEP_OUT_MPS**2
+    wanted = target.stand * (calm & (still | (command.stand > 0)))
     stand = command.stand + xp.clip(wanted - command.stand, -CONTROL_PERIOD_S / STAND_S, CONTROL_PERIOD_S / STAND_S)
     speeding = RAMP_PER_S * mean_speed(motion)
     paces = xp.where(abs(target.forward) < abs(command.forward), BRAKING, speeding), LATERAL_PACE, YAW_PACE
@@ -95,8 +103,14 @@ def _feet_down(motion: ReferenceMotion, time: Array) -> Array:
     return time % half == 0
 
 
-def approach(motion: ReferenceMotion, state: MotionState) -> MotionState:
-    """The same moment with a command nearer to its target; the reference does not jump."""
-    command = toward(motion, state.command, state.target_command, state.time)
+def approach(motion: ReferenceMotion, state: MotionState, qvel: Array) -> MotionState:
+    """The same moment with a command nearer to its target; the reference does not jump.
+
+    Args:
+      motion: what is walked.
+      state: of the robots.
+      qvel: as sensed, [B, 32].
+    """
+    command = toward(motion, state.command, state.target_command, state.time, qvel)
     before, after = (sample(motion, state.time, told)[0][:, PELVIS_X] for told in (state.command, command))
     return state._replace(command=command, origin_x=state.origin_x + before - after)

@@ -53,7 +53,7 @@ def policy_step(
     now, _ = sample(motion, carry.time, command)
     path, later = carry.path, carry.time + 1
     if command is not None:
-        path, later = stay_beside(path, command, now, qpos, qvel), onward(carry.time, command)
+        path, later = stay_beside(path, command, now, qpos, qvel), onward(motion, carry.time, command)
     qpos, qvel = into(path, qpos, qvel)
     ahead = sample(motion, later, command)
     residual, sensing = law.act(network, carry.sensing, Seen(qpos, qvel, *ahead, command))

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cassie_mjx.control.command import MotionState, reference
+from cassie_mjx.control.command import STEP_OUT_MPS, MotionState, reference
 from cassie_mjx.control.path import Path
 from cassie_mjx.motion.command import (
     FULL_STEERING_MPS,
@@ -26,7 +26,7 @@ from cassie_mjx.robot.ground import START_X_M, Ground
 
 # What the key of a speed is folded with for the steering, and for who is to stand.
 _STEERING_KEY, _STAND_KEY = 2, 3
-STANDING_SHARE = 0.15
+STANDING_SHARE = 0.2
 """Share of the commands by which robots are to stand, where they are steered."""
 
 
@@ -60,7 +60,9 @@ def limits(motion: ReferenceMotion, commands: CommandRange) -> np.ndarray:
     return np.stack([forward, *(np.array([-limit, limit]) for limit in commands.steering), stand])
 
 
-def start_motion(motion: ReferenceMotion, time: jax.Array, command: Command, ground: Ground) -> MotionState:
+def start_motion(
+    motion: ReferenceMotion, time: jax.Array, command: Command, ground: Ground, speed: jax.Array
+) -> MotionState:
     """The first moment of episodes.
 
     Args:
@@ -68,10 +70,12 @@ def start_motion(motion: ReferenceMotion, time: jax.Array, command: Command, gro
       time: control step of the motion that they start at, [B]; robots that stand begin where a foot has just landed.
       command: now and as a target.
       ground: of the robots, [B]; where it is not flat, the pelvis starts at `START_X_M`.
+      speed: by which their pelvis is off the reference's velocity, [B], m/s; those that are too fast to stand step.
     """
+    now = command._replace(stand=command.stand * (speed < STEP_OUT_MPS))
     zeros, half = jnp.zeros_like(command.forward), motion.qpos.shape[0] // 2
-    landed = jnp.where(jnp.asarray(command.stand) > 0, time // half * half, time)
-    state = MotionState(landed, jnp.zeros_like(time), command, command, zeros, Path(zeros, zeros, zeros))
+    landed = jnp.where(now.stand > 0, time // half * half, time)
+    state = MotionState(landed, jnp.zeros_like(time), now, command, zeros, Path(zeros, zeros, zeros))
     first, _ = reference(motion, state)
     return state._replace(origin_x=ground.uneven * (START_X_M - first[:, PELVIS_X]))
 

@@ -29,7 +29,8 @@ class WalkConfig(Checked):
     }
 
     reward: str = "weighted"
-    """Reward to learn from: "plain" (the paper's) or "weighted" (the later code's); both are always measured."""
+    """Reward to learn from: "plain" (the paper's), "weighted" (the later code's), or "steered" (which also holds the
+    heading); all are always measured."""
     min_reward: Annotated[float, Range(0, 0.999)] | None = 0.4
     """A step's reward below which an episode ends, a device of training; null for none."""
     max_position_error_m: Annotated[float, Range(0.001, 1000)] | None = 0.5
@@ -125,6 +126,7 @@ WALK_PRESETS = {
         scenario=ScenarioConfig(push_n=300, push_pause_s=2, terrain_m=0.25, delay_s=0.01),
     ),
     "joystick": WalkConfig(
+        reward="steered",
         min_reward=None,
         leash_m=0.3,
         start_velocity_mps=1.5,

@@ -212,7 +212,8 @@ class WalkEnv:
         scenario: Scenario,
         key: jax.Array | None,
     ) -> Start:
-        state = command.start_motion(self.motion, time, told, scenario.ground)
+        speed = jnp.linalg.norm(jnp.asarray(offset.velocity), axis=1)
+        state = command.start_motion(self.motion, time, told, scenario.ground, speed)
         qpos, qvel = motions.reference(self.motion, state)
         qpos = qpos.at[:, cassie.PELVIS_POSITION[:2]].add(offset.position)
         qpos = qpos.at[:, cassie.PELVIS_Z].add(scenario.ground.sine)
@@ -253,7 +254,7 @@ class WalkEnv:
         known = self._privileged(state, scenario, lead)
         state = self._leashed(state, lead, aside)
         scenario, push_level = self._renew(scenario, push_level, state, terminated, truncated, key)
-        state = self._told(state, key)
+        state = self._told(state, sensed_qvel, key)
         start = self._begin_anew(state, scenario, key)
         noise_key = jax.random.fold_in(key, _NOISE_KEY)
         observation, sensing = self._observe(state, sensing, sensed_qpos, sensed_qvel, noise_key)
@@ -324,13 +325,13 @@ class WalkEnv:
         hz, span = self._physics_hz, self.config.span
         return renew_scenario(config, scenario_key, scenario, step, ended, hz, level, span), level
 
-    def _told(self, state: MotionState, key: jax.Array) -> MotionState:
-        """The same moment, with the command on its way to a target that may be a new one."""
+    def _told(self, state: MotionState, qvel: jax.Array, key: jax.Array) -> MotionState:
+        """The same moment, with the command on its way to a target that may be a new one; qvel [B, 32] is sensed."""
         if self._command_s is None:
             return state
         target_key = jax.random.fold_in(key, _COMMAND_KEY)
         state = command.redraw_target(self.motion, state, target_key, self.commands, self._command_s)
-        return motions.approach(self.motion, state)
+        return motions.approach(self.motion, state, qvel)
 
     def _begin_anew(self, state: MotionState, scenario: Scenario, key: jax.Array) -> Start:
         """New episodes, one a robot. Where commands change on the way, they go on with that of the last.
