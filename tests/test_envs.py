@@ -12,6 +12,7 @@ from cassie_mjx.control import command as control_command
 from cassie_mjx.control import command as motions
 from cassie_mjx.envs import command, reward
 from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.envs.make import make_env
 from cassie_mjx.envs.scenario import ScenarioConfig
 from cassie_mjx.envs.termination import Ends
 from cassie_mjx.envs.walk import WalkEnv
@@ -88,6 +89,23 @@ def test_rewards_by_hand(standing_qpos, name, joint, spring):
     np.testing.assert_allclose(terms, expected, rtol=1e-6)
     total = 0.5 * joint + 0.3 * np.exp(-0.1) + 0.1 * np.exp(-0.04) + 0.1 * spring
     np.testing.assert_allclose(reward.total(terms), total, rtol=1e-6)
+
+
+def test_the_orientation_that_is_learned_from_has_a_scale_of_its_own():
+    """exp(-30 e) = exp(-e)^30, a tenth of the reward learned from; what is measured stays."""
+    after = {}
+    for scale in (1, 30):
+        env = make_env(robots=2, physics_hz=500, config=WalkConfig(orientation_scale=scale, min_reward=None))
+        state = env.reset_at(np.array([0, 5], np.int32), Scenario.nominal(2))
+        # Turned to the left by 0.2 rad: the reference's own pelvis rolls and pitches by less than 0.05 rad.
+        state.physics.qpos[:, 3:7] = np.cos(0.1), 0, 0, np.sin(0.1)
+        after[scale] = env.step(state, np.zeros((2, 10)), jax.random.key(0))
+    measured, (one, thirty) = after[1].metrics["weighted"], (after[scale].metrics["orientation"] for scale in (1, 30))
+    np.testing.assert_allclose(after[30].metrics["weighted"], measured, rtol=1e-6)
+    np.testing.assert_allclose(thirty, one**30, rtol=1e-4)
+    assert thirty.max() < 0.85
+    np.testing.assert_allclose(after[1].reward, measured, rtol=1e-6)
+    np.testing.assert_allclose(after[30].reward, measured + 0.1 * (thirty - one), rtol=1e-5)
 
 
 def test_reset_puts_robots_on_the_reference(env, motion):

@@ -1,8 +1,7 @@
-"""Imitation reward: four terms between 0 and 1, three ways to scale them, one weighted sum.
+"""Imitation reward: four terms between 0 and 1, two ways to scale them, one weighted sum.
 
 `plain` is the reward that Xie et al. 2018 print; `weighted` has the scales of the same group's later code
-(osudrl/apex). `steered` is `weighted` with a scale on the pelvis' orientation: without one, 0.2 rad off the path's
-heading cost a thousandth of the reward, and at 2.8 m/s they are 0.6 m/s to the side.
+(osudrl/apex).
 """
 
 from typing import NamedTuple
@@ -33,14 +32,12 @@ class Scale(NamedTuple):
     spring: float
     """On the two shins, 1/rad²."""
     orientation: float = 1.0
-    """On the vector part of the pelvis' quaternion, half an angle."""
+    """On the vector part of the pelvis' quaternion, which is half the angle, 1/rad²."""
 
 
-_JOINTS = 30 * np.tile([0.15, 0.15, 0.1, 0.05, 0.05], 2)
 SCALES = {
     "plain": Scale(np.ones(cassie.NU), 1.0),
-    "weighted": Scale(_JOINTS, 1000.0),
-    "steered": Scale(_JOINTS, 1000.0, 30.0),
+    "weighted": Scale(30 * np.tile([0.15, 0.15, 0.1, 0.05, 0.05], 2), 1000.0),
 }
 WEIGHTS = (0.5, 0.3, 0.1, 0.1)
 """Of the terms in their order: joint, position, orientation, spring."""

@@ -245,7 +245,7 @@ class WalkEnv:
         )
         walked = self._on_the_path(state.path, qpos, qvel, scenario.ground)
         rewards, terms = self._rewards(walked, reference[0], nan)
-        earned = rewards[self.config.reward]
+        earned = jnp.where(nan, 0.0, reward.total(terms))
         lead, aside = ((walked - reference[0])[:, axis] for axis in (cassie.PELVIS_X, cassie.PELVIS_Y))
         causes = self._ends(nan, walked[:, cassie.PELVIS_Z], earned, lead, aside)
         terminated = jnp.stack(causes).any(axis=0)
@@ -283,10 +283,11 @@ class WalkEnv:
     def _rewards(
         self, walked: jax.Array, reference: jax.Array, nan: jax.Array
     ) -> tuple[dict[str, jax.Array], reward.Terms]:
-        """Both rewards, and the terms of the one learned from."""
+        """Both rewards as they are measured, and the terms that are learned from."""
         terms = {name: reward.terms(scale, walked, reference) for name, scale in reward.SCALES.items()}
         rewards = {name: jnp.where(nan, 0.0, reward.total(values)) for name, values in terms.items()}
-        return rewards, terms[self.config.reward]
+        learned = reward.SCALES[self.config.reward]._replace(orientation=self.config.orientation_scale)
+        return rewards, reward.terms(learned, walked, reference)
 
     def _ends(self, nan: jax.Array, height: jax.Array, earned: jax.Array, lead: jax.Array, aside: jax.Array) -> Ends:
         """Why episodes end of robots at a height, `lead` ahead of the reference and `aside` to its left, m, all [B]."""
