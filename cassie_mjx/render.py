@@ -25,7 +25,7 @@ class RenderConfig(AgentConfig):
     CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"camera": CAMERAS}
 
     out: str = "walk.mp4"
-    """Video file, .mp4 or .gif."""
+    """Video file, .mp4, .gif or .webp."""
     overwrite: bool = False
     """Whether to replace a file that is no film of ours."""
     seconds: Annotated[float, Range(0.01, 3600)] = 10.0
@@ -56,7 +56,7 @@ class RenderConfig(AgentConfig):
         parse_terrain(self.terrain)
         suffix, step_ms = Path(self.out).suffix, 1000 / ModelConfig().physics_hz
         for name, valid, hint in (
-            ("out", suffix in ENCODINGS, f"name a file that ends in {' or '.join(ENCODINGS)}"),
+            ("out", suffix in ENCODINGS, f"name a file that ends in {', '.join(ENCODINGS)}"),
             ("push_at", not any(self.push) or self.push_at < self.seconds, f"the film ends at {self.seconds:g} s"),
             ("delay", self.delay % step_ms == 0, f"use a multiple of {step_ms:g} ms"),
             ("width", self.width % 2 == 0, "use an even number"),

@@ -133,7 +133,7 @@ def test_no_command_reads_markup():
     assert [path.name for path in sources if "Console(stderr" in path.read_text()] == ["process.py"]
 
 
-@pytest.mark.parametrize("suffix", ["mp4", "gif"])
+@pytest.mark.parametrize("suffix", ["mp4", "gif", "webp"])
 def test_a_film_takes_the_place_of_a_film_of_ours_alone(tmp_path, suffix):
     out = tmp_path / f"a.{suffix}"
     for _ in range(2):

@@ -9,6 +9,7 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 from acting import Swaying
+from PIL import Image, ImageSequence
 
 from cassie_mjx import cli, render
 from cassie_mjx.agents import make
@@ -100,22 +101,25 @@ def test_terrain_is_seen(drawing, standing_qpos):
     assert np.ptp(horizon(0.2)) >= np.ptp(horizon(0.1)) + 2
 
 
-@pytest.mark.parametrize(("suffix", "fps"), [("mp4", 25.0), ("mp4", 60.0), ("gif", 25.0), ("gif", 31.25)])
+@pytest.mark.parametrize(
+    ("suffix", "fps"), [("mp4", 25.0), ("mp4", 60.0), ("gif", 25.0), ("gif", 31.25), ("webp", 25.0), ("webp", 60.0)]
+)
 def test_videos_have_their_frames_and_duration(tmp_path, suffix, fps):
     greys = np.linspace(0, 250, 12).astype(np.uint8)
     frames = [np.full((32, 48, 3), grey, np.uint8) for grey in greys]
     path = tmp_path / f"a.{suffix}"
     write_video(path, frames, 48, 32, fps)
-    video = imageio.imread(path, index=None) if suffix == "gif" else imageio.imread(path, plugin="FFMPEG")
+    video = imageio.imread(path, plugin="FFMPEG") if suffix == "mp4" else imageio.imread(path, index=...)
     assert video.shape == (12, 32, 48, 3)
     np.testing.assert_allclose(video.astype(int).mean(axis=(1, 2, 3)), greys, atol=6)
-    if suffix == "gif":
-        frames_meta = [imageio.immeta(path, index=k) for k in range(12)]
-        assert frames_meta[0]["loop"] == 0
-        seconds = sum(meta["duration"] for meta in frames_meta) / 1000
+    if suffix != "mp4":
+        with Image.open(path) as film:
+            assert film.info["loop"] == 0
+            # The frame's own, once it is loaded.
+            seconds = sum(frame.load() and frame.info["duration"] for frame in ImageSequence.Iterator(film)) / 1000
     else:
         seconds = imageio_ffmpeg.count_frames_and_secs(path)[1]
-    # A GIF counts in hundredths of a second.
+    # A GIF counts in hundredths of a second, WebP each frame in thousandths.
     assert seconds == pytest.approx(12 / fps, abs=0.011)
     assert list(tmp_path.iterdir()) == [path]
 
@@ -166,8 +170,8 @@ def test_the_command_says_how_it_went(drawing, tmp_path, monkeypatch, capsys, ho
 @pytest.mark.parametrize(
     ("argument", "sentence"),
     [
-        ("out=walk.avi", r"out=walk\.avi cannot be filmed; name a file that ends in \.mp4 or \.gif\."),
-        ("out=walk", r"name a file that ends in \.mp4 or \.gif"),
+        ("out=walk.avi", r"out=walk\.avi cannot be filmed; name a file that ends in \.mp4, \.gif, \.webp\."),
+        ("out=walk", r"name a file that ends in \.mp4, \.gif, \.webp"),
         ("camera=top", "camera=top is not known; choose one of three-quarter, side, front"),
         ("seconds=0", r"seconds=0\.0 must be from 0\.01 to 3,600\."),
         ("seconds=1e-11", r"seconds=1e-11 must be from 0\.01 to 3,600\."),

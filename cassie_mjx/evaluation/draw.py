@@ -28,6 +28,7 @@ ARROW_RGBA = np.array([0.85, 0.1, 0.1, 1.0], np.float32)
 ENCODINGS = {
     ".mp4": ["-c:v", "libx264", "-crf", "18", "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"],
     ".gif": ["-vf", "split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=none", "-f", "gif"],
+    ".webp": ["-c:v", "libwebp_anim", "-quality", "60", "-loop", "0", "-f", "webp"],
 }
 _MARK = b"made by cassie-mjx render"
 FILM = cli.marked("a film of ours", _MARK)
@@ -82,8 +83,8 @@ def write_video(path: Path, frames: Iterable[np.ndarray], width: int, height: in
                 ffmpeg.stdin.write(frame)
         if ffmpeg.returncode:
             raise OSError(f"ffmpeg failed with status {ffmpeg.returncode}")
-        if path.suffix == ".gif":
-            _add_gif_comment(partial)
+        if path.suffix in _COMMENTS:
+            _COMMENTS[path.suffix](partial)
 
 
 def _add_gif_comment(path: Path) -> None:
@@ -91,3 +92,17 @@ def _add_gif_comment(path: Path) -> None:
     with path.open("r+b") as file:
         file.seek(-1, os.SEEK_END)
         file.write(b"\x21\xfe" + bytes([len(_MARK)]) + _MARK + b"\x00;")
+
+
+def _add_webp_comment(path: Path) -> None:
+    """Put our mark into a chunk at the end of a WebP file, where readers ignore what they do not know."""
+    with path.open("r+b") as file:
+        file.seek(0, os.SEEK_END)
+        file.write(b"NOTE" + len(_MARK).to_bytes(4, "little") + _MARK + b"\0" * (len(_MARK) % 2))
+        # A RIFF file has its length, without these eight bytes, after its first four.
+        length = file.tell() - 8
+        file.seek(4)
+        file.write(length.to_bytes(4, "little"))
+
+
+_COMMENTS = {".gif": _add_gif_comment, ".webp": _add_webp_comment}
