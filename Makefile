@@ -36,8 +36,8 @@ lint: setup      ## format the code and fix what can be fixed
 bench: setup     ## throughput of both engines on this machine
 	$(RUN) -m experiments.throughput out=throughput.json
 
-report: setup    ## report/index.html and the tables of README.md and docs/results.md, from experiments/results
-	$(RUN) -m experiments.report out=report/index.html readme=README.md page=docs/results.md overwrite=true
+report: setup    ## report/index.html and the tables of README.md, docs/results.md and docs/evaluate.md, from experiments/results
+	$(RUN) -m experiments.report out=report/index.html readme=README.md page=docs/results.md drives=docs/evaluate.md overwrite=true
 
 docs: setup      ## the guide as a site, in site/
 	$(RUN) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'

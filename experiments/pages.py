@@ -1,7 +1,8 @@
-"""The tables of README.md and docs/results.md, between two markers of each."""
+"""The tables of README.md, docs/results.md and docs/evaluate.md, between two markers of each."""
 
 from pathlib import Path
 
+from cassie_mjx.reporting import driving
 from cassie_mjx.reporting.tables import markdown
 from experiments import tables
 
@@ -22,6 +23,11 @@ def block(folder: Path) -> str:
         tables.beside_each_other(folder, tables.STEPS),
     ]
     return "\n\n".join(markdown(content) for content in found if content)
+
+
+def driving_block(folder: Path) -> str:
+    """What stands between the markers of the page that explains commands."""
+    return markdown(driving.quantities(dict(tables.matching(folder, tables.DRIVEN)), folder))
 
 
 def with_block(text: str, content: str) -> str:

@@ -1,8 +1,8 @@
 """What has been measured, as one web page and in the README: `python -m experiments.report out=report/index.html`.
 
-With `readme=README.md` and `page=docs/results.md` the tables between the two markers of these files are written anew.
-Everything comes from `experiments/results`; what has no result file yet is said to have none. Imports neither JAX nor
-MuJoCo.
+With `readme=README.md`, `page=docs/results.md` and `drives=docs/evaluate.md` the tables between the two markers of
+these files are written anew. Everything comes from `experiments/results`; what has no result file yet is said to have
+none. Imports neither JAX nor MuJoCo.
 """
 
 from collections.abc import Sequence
@@ -13,12 +13,12 @@ import numpy as np
 
 from cassie_mjx import cli
 from cassie_mjx.configuration.values import Checked
-from cassie_mjx.reporting import page, plots
+from cassie_mjx.reporting import driving, page, plots
 from cassie_mjx.reporting.page import drawn, section, table
 from cassie_mjx.reporting.results import Result, blaming, find
 from cassie_mjx.reporting.tables import NO_FIGURE, Table
 from experiments import tables
-from experiments.pages import block, readme_block, with_block
+from experiments.pages import block, driving_block, readme_block, with_block
 from experiments.tables import agents
 
 STUDIES = {
@@ -45,7 +45,9 @@ class ReportConfig(Checked):
     readme: str = ""
     """Markdown file whose text between the two markers is to be the table of the README; none if empty."""
     page: str = ""
-    """Markdown file whose text between the two markers is to be all tables; none if empty."""
+    """Markdown file whose text between the two markers is to be all tables but that of driving; none if empty."""
+    drives: str = ""
+    """Markdown file whose text between the two markers is to be the table of driving; none if empty."""
     overwrite: bool = False
     """Whether to replace a file that is no report of ours, in place of the web page."""
 
@@ -70,8 +72,8 @@ DEFINITIONS = (
 
 def whole_page(folder: Path) -> str:
     """The web page, which needs no other file."""
-    sections = [compared(folder), *learned(folder), pushed(folder), survived(folder), strode(folder), sped(folder)]
-    sections += [*variants_compared(folder), *walked_twice(folder)]
+    sections = [compared(folder), driven(folder), *learned(folder), pushed(folder), survived(folder), strode(folder)]
+    sections += [sped(folder), *variants_compared(folder), *walked_twice(folder)]
     return page.document("Cassie MJX: what has been measured", INTRODUCTION, sections)
 
 
@@ -93,6 +95,15 @@ def all_figures(results: Sequence[Result]) -> Table:
         cells = [NO_FIGURE if value is None else f"{value:.5g}" for value in values]
         rows.append((quantity, *cells, unit))
     return Table(("quantity", *(result.name for result in results), "unit"), rows, [])
+
+
+def driven(folder: Path) -> str:
+    """How policies follow commands."""
+    found = dict(tables.matching(folder, tables.DRIVEN))
+    body = driving.body(found, folder) if found else ""
+    out = "experiments/results/command/joystick-seed0.json"
+    command = f"python -m cassie_mjx.evaluate policy=joystick suite=command out={out}"
+    return section("Driving", driving.TEXT, body, [r for results in found.values() for r in results], command)
 
 
 def learned(folder: Path) -> list[str]:
@@ -267,7 +278,7 @@ def main(config: ReportConfig) -> None:
     Path(config.out).parent.mkdir(exist_ok=True)
     paths = {config.out: cli.check_output(config.out, page.REPORT, config.overwrite)}
     texts = {config.out: whole_page(folder)}
-    for name, content in ((config.readme, readme_block), (config.page, block)):
+    for name, content in ((config.readme, readme_block), (config.page, block), (config.drives, driving_block)):
         if name:
             paths[name] = cli.check_writable(name)
             texts[name] = with_block(paths[name].read_text(), content(folder))

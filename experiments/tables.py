@@ -37,6 +37,10 @@ STEPS = {
 """The same for policies that learned one step of the stride, the other being its mirror image, beside those of both."""
 
 
+DRIVEN = {"joystick": "command/joystick-seed*.json"}
+"""The same for policies that follow commands, and the results of the suite `command`."""
+
+
 def agents(folder: Path, measurement: str = "") -> list[tuple[str, list[Result]]]:
     """The agents that have been evaluated or, if one is named, been through another measurement, with the results.
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cassie_mjx.reporting import page, plots
+from cassie_mjx.reporting import driving, page, plots
 from cassie_mjx.reporting.results import Result, blaming, read
 from cassie_mjx.reporting.tables import NO_FIGURE, ROWS, Table, cell, least, sources
 
@@ -106,6 +106,10 @@ def folder_page(results: Sequence[Result]) -> str:
     compared = page.table(beside_the_paper(agents))
     compared += f"<details><summary>Every quantity</summary>{page.table(every_quantity(agents))}</details>"
     sections = [page.section("Beside the paper", "A column for each agent.", compared, results)]
+    drives = {name: [result for result in found if "command" in result.content] for name, found in agents.items()}
+    if drives := {name: found for name, found in drives.items() if found}:
+        used = [result for found in drives.values() for result in found]
+        sections.append(page.section("Driving", driving.TEXT, driving.body(drives, Path()), used))
     if maps := push_maps(results):
         text = "Share of the phases of the stride at which a push of 0.2 s was survived. Dashed: the paper's limits, N."
         sections.append(page.section("Pushes from all sides", text, maps, results))
