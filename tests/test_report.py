@@ -13,7 +13,7 @@ import pytest
 
 from cassie_mjx.reporting.tables import markdown
 from experiments import report, tables
-from experiments.pages import MARKERS, block, readme_block, with_block
+from experiments.pages import MARKERS, block, driving_block, readme_block, with_block
 from experiments.report import ReportConfig, main, whole_page
 
 ROOT = Path(__file__).parents[1]
@@ -161,7 +161,7 @@ def test_what_was_not_measured_is_named_and_never_shown(everything, tmp_path):
     empty.mkdir()
     assert tables.beside_the_paper(empty).rows == []
     assert tables.speeds_and_blends(empty) is None
-    assert whole_page(empty).count("Not measured yet. ") == 17
+    assert whole_page(empty).count("Not measured yet. ") == 18
 
 
 def test_speeds_and_blends(everything):
@@ -342,7 +342,10 @@ def test_a_folder_that_is_none_is_refused(tmp_path):
         main(ReportConfig(str(tmp_path / "missing"), str(tmp_path / "page.html")))
 
 
-@pytest.mark.parametrize(("page", "tables_of"), [("README.md", readme_block), ("docs/results.md", block)])
+@pytest.mark.parametrize(
+    ("page", "tables_of"),
+    [("README.md", readme_block), ("docs/results.md", block), ("docs/evaluate.md", driving_block)],
+)
 def test_pages_show_what_the_results_say(page, tables_of):
     text = (ROOT / page).read_text()
     assert text == with_block(text, tables_of(ROOT / "experiments" / "results")), "run `make report`"

@@ -107,7 +107,8 @@ def read_drives(results: Sequence[Result], folder: Path) -> Drives:
             errors = np.array([error or [np.nan] * len(COMPONENTS) for error in cells["errors"]], float)
             fell = np.array([[digit == "0" for digit in row] for row in cells["survived"]])
             if not commands.shape == errors.shape == (len(fell), len(COMPONENTS)):
-                raise ValueError(f"commands of shape {commands.shape} do not fit errors of shape {errors.shape}")
+                shapes = f"commands of shape {commands.shape} do not fit errors of shape {errors.shape}"
+                raise ValueError(f"{shapes} and {len(fell)} of trials")
             drives.append(Drives(commands, errors, fell, float(eight["radius_m"]), eight["paths"]))
             if not np.array_equal(commands, drives[0].commands):
                 raise ValueError("other commands than those of the first seed")
