@@ -109,16 +109,17 @@ def test_videos_have_their_frames_and_duration(tmp_path, suffix, fps):
     frames = [np.full((32, 48, 3), grey, np.uint8) for grey in greys]
     path = tmp_path / f"a.{suffix}"
     write_video(path, frames, 48, 32, fps)
-    video = imageio.imread(path, plugin="FFMPEG") if suffix == "mp4" else imageio.imread(path, index=...)
-    assert video.shape == (12, 32, 48, 3)
-    np.testing.assert_allclose(video.astype(int).mean(axis=(1, 2, 3)), greys, atol=6)
-    if suffix != "mp4":
+    if suffix == "mp4":
+        video, seconds = imageio.imread(path, plugin="FFMPEG"), imageio_ffmpeg.count_frames_and_secs(path)[1]
+    else:
         with Image.open(path) as film:
             assert film.info["loop"] == 0
-            # The frame's own, once it is loaded.
-            seconds = sum(frame.load() and frame.info["duration"] for frame in ImageSequence.Iterator(film)) / 1000
-    else:
-        seconds = imageio_ffmpeg.count_frames_and_secs(path)[1]
+            # A frame of a WebP has its duration once it is loaded.
+            frames = [frame.copy() for frame in ImageSequence.Iterator(film)]
+        video = np.stack([np.asarray(frame.convert("RGB")) for frame in frames])
+        seconds = sum(frame.info["duration"] for frame in frames) / 1000
+    assert video.shape == (12, 32, 48, 3)
+    np.testing.assert_allclose(video.astype(int).mean(axis=(1, 2, 3)), greys, atol=6)
     # A GIF counts in hundredths of a second, WebP each frame in thousandths.
     assert seconds == pytest.approx(12 / fps, abs=0.011)
     assert list(tmp_path.iterdir()) == [path]
