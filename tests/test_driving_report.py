@@ -108,11 +108,14 @@ def test_a_result_that_does_not_fit_is_named(changes, why):
 
 
 def test_the_table_has_goals_and_what_was_not_measured_is_a_dash():
-    rows = {row[-1]: row[1:-1] for row in quantities({"steered": [drive(), drive(1)]}, Path()).rows}
+    table = quantities({"steered": [drive(), drive(1)]}, Path())
+    rows = {row[-1]: row[1:-1] for row in table.rows}
     assert list(rows) == [quantity.name for quantity in QUANTITIES]
     assert rows["command_survived"] == ("≥ 0.99", "0.625")
     assert rows["stop_s"] == ("≤ 2", "2.5 (2.0 to 3.0)")
     assert rows["stand_foot_slip_m"] == ("≤ 0.02", "–")
+    assert "over training seeds" in table.notes[1]
+    assert "over training seeds" not in " ".join(quantities({"steered": [drive()]}, Path()).notes)
 
 
 def test_any_folder_with_such_a_result_has_the_maps():

@@ -93,6 +93,8 @@ def quantities(agents: Mapping[str, Sequence[Result]], folder: Path) -> Table:
         row = Row(meaning, (name,), "command", digits=digits)
         rows.append((meaning, goal, *(cell(row, results) for results in agents.values()), name))
     notes = [largest_errors(name, read_drives(results, folder)) for name, results in agents.items()]
+    if any(len(results) > 1 for results in agents.values()):
+        notes.append("Interquartile mean over training seeds (least to greatest); errors by command are their mean.")
     notes += [f"{NO_FIGURE}: no goal, or no robot got there.", sources([r for each in agents.values() for r in each])]
     return Table(("what is measured", "goal", *(f"`{name}`" for name in agents), "quantity"), rows, notes)
 
