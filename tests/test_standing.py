@@ -86,9 +86,9 @@ def test_a_robot_stands_once_it_steps_on_the_spot_and_a_foot_has_landed(motion):
 
 
 def test_a_standing_robot_steps_while_something_moves_it(motion):
-    """0.4 m/s is more than 0.35; the direction does not matter. It stands again in a step of its own."""
+    """0.51 m/s is more than 0.5; the direction does not matter. It stands again in a step of its own."""
     moved = np.zeros((1, 32))
-    moved[0, :2] = 0.24, -0.32
+    moved[0, :2] = 0.24, -0.45
     command, time = told(*STAND), np.array([11])
     for _ in range(5):
         command = toward(motion, command, told(*STAND), time, moved)

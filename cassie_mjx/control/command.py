@@ -14,9 +14,9 @@ BRAKING, LATERAL_PACE, YAW_PACE = 2.5, 0.4, 1.6
 rad/s²."""
 STAND_S = 0.32
 """Time in which a robot comes to stand, and leaves it, s: in one step, which brings its feet together or parts them."""
-STEP_OUT_MPS = 0.35
+STEP_OUT_MPS = 0.5
 """Horizontal speed of the pelvis, m/s, at which a robot that stands begins to step: its capture point, 0.32 s ahead, is
-then a foot's half length before its ankles."""
+then 0.16 m away, beyond its feet. Steps on the spot alone sway by up to 0.4 m/s."""
 
 
 class MotionState(NamedTuple):
