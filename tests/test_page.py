@@ -1,0 +1,179 @@
+"""The page in a browser: its JavaScript against the NumPy law and MuJoCo C, under Node."""
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from cassie_mjx import export
+from cassie_mjx.agents.controller import Controller
+from cassie_mjx.control.command import toward
+from cassie_mjx.control.law import canonicalize, decanonicalize, second_step
+from cassie_mjx.control.network import Network, action
+from cassie_mjx.control.observation import Seen
+from cassie_mjx.control.path import Path as WalkedPath
+from cassie_mjx.control.step import PolicyCarry, policy_step
+from cassie_mjx.export import ExportConfig
+from cassie_mjx.motion.command import Command
+from cassie_mjx.motion.reference import sample
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.ground import HIGHEST, Ground, Terrain, height_below
+from cassie_mjx.robot.model import xml_path
+
+PAGE = Path(__file__).parents[1] / "page"
+NODE = shutil.which("node")
+needs_node = pytest.mark.skipif(NODE is None, reason="no Node here (apt-get install nodejs)")
+TOLERANCE = 1e-5
+COMMANDS = {0: (0.71, 0, 0, 0), 40: (1.5, 0.2, 0.5, 0), 120: (0.5, -0.3, -0.8, 0), 170: (0, 0, 0, 0), 220: (0, 0, 0, 1)}
+"""Targets of a walk, by the control step that each begins at."""
+
+
+def node(program, content):
+    """What a program of `page/check` makes of a JSON."""
+    assert NODE
+    done = subprocess.run(
+        [NODE, str(PAGE / "check" / program)], input=json.dumps(content), capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.fixture(scope="module", params=["joystick", "1x-robust", "any"])
+def name(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def exported(name, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("web")
+    export.main(ExportConfig(policy=name, web=str(folder)))
+    return folder / f"{name}.json"
+
+
+@pytest.fixture(scope="module")
+def controller(name):
+    return Controller.load(name)
+
+
+def random_states(rng, controller, robots):
+    """States around the reference motion, [B, 35] and [B, 32], their pelvis turned any way and of any sign."""
+    qpos, qvel = (np.array(part) for part in sample(controller.motion, rng.integers(0, 22, robots)))
+    qpos += rng.normal(0, 0.1, qpos.shape)
+    qpos[:, :2] += rng.normal(0, 5, (robots, 2))
+    turned = rng.normal(size=(robots, 4))
+    qpos[:, 3:7] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    return qpos, qvel + rng.normal(0, 1, qvel.shape)
+
+
+def random_commands(rng, robots):
+    """Commands of any kind, standing ones and those half way to standing among them."""
+    velocities = rng.uniform(*np.array([(-0.7, 2.8), (-0.4, 0.4), (-0.8, 0.8)]).T, (robots, 3))
+    stand = np.repeat([0.0, 0.3, 1.0], [robots - 20, 10, 10])
+    still = (stand > 0) | (rng.uniform(size=robots) < 0.3)
+    return Command(*np.where(still, 0.0, velocities.T), stand=stand)
+
+
+def of(state, k):
+    return {"qpos": state[0][k].tolist(), "qvel": state[1][k].tolist()}
+
+
+def told(command, k):
+    names = ("forward", "lateral", "yawRate", "stand")
+    return {name: float(part[k]) for name, part in zip(names, command, strict=True)}
+
+
+def close(found, key, expected):
+    np.testing.assert_allclose([each[key] for each in found], expected, rtol=0, atol=TOLERANCE)
+
+
+@needs_node
+def test_observation_mirror_network_and_torque_are_numpys(exported, controller):
+    rng, policy, law = np.random.default_rng(0), controller.policy, controller.law
+    state = random_states(rng, controller, 100)
+    reference = sample(controller.motion, rng.integers(0, 44, 100))
+    states = [{"state": of(state, k), "reference": of(reference, k)} for k in range(100)]
+    found = node("control.mjs", {"policy": str(exported), "observed": states, "steps": [], "walk": [], "heights": []})
+    seen, network = Seen(*state, *reference), Network(policy.mean, policy.std, policy.clip, policy.weights)
+    observation, _ = law.observation.update(law.init(seen), seen)
+    close(found["observed"], "observation", observation)
+    close(found["observed"], "mirrored", law.observation.mirrored(observation))
+    close(found["observed"], "action", action(network, observation))
+    second = second_step(reference[0]) & law.symmetric
+    assert second.any() == law.symmetric
+    acts = action(network, canonicalize(law.observation, observation, second))
+    close(found["observed"], "residual", decanonicalize(acts, second))
+    q, qdot = state[0][:, cassie.ACTIVE_QPOS], state[1][:, cassie.ACTIVE_QVEL]
+    torque = policy.p_gain * (reference[0][:, :10] - q) - policy.d_gain * qdot
+    close(found["observed"], "torque", torque.clip(-cassie.TORQUE_LIMIT, cassie.TORQUE_LIMIT))
+
+
+@needs_node
+def test_a_control_step_is_numpys(exported, controller):
+    rng, policy, motion = np.random.default_rng(1), controller.policy, controller.motion
+    qpos, qvel = random_states(rng, controller, 100)
+    command, target, time = random_commands(rng, 100), random_commands(rng, 100), rng.integers(0, 22, 100)
+    place = rng.normal(0, 3, (3, 100))
+    carries = [
+        {"time": int(time[k]), "path": dict(zip(("x", "y", "heading"), place[:, k], strict=True))} for k in range(100)
+    ]
+    steps = [
+        {"carry": carries[k] | {"command": told(command, k)}, **of((qpos, qvel), k), "target": told(target, k)}
+        for k in range(100)
+    ]
+    found = node("control.mjs", {"policy": str(exported), "observed": [], "steps": steps, "walk": [], "heights": []})
+    now = toward(motion, command, target, time)
+    network = Network(policy.mean, policy.std, policy.clip, policy.weights)
+    before = PolicyCarry(time, np.zeros((100, 0, 80)), WalkedPath(*place))
+    targets, after = policy_step(controller.law, motion, network, before, qpos, qvel, now)
+    close(found["steps"], "targets", targets)
+    carry = [step["carry"] for step in found["steps"]]
+    close(carry, "time", after.time)
+    np.testing.assert_allclose([list(each["path"].values()) for each in carry], np.transpose(after.path), atol=TOLERANCE)
+    np.testing.assert_allclose([list(each["command"].values()) for each in carry], np.transpose(now), atol=TOLERANCE)
+
+
+@pytest.fixture(scope="module")
+def walk(controller, name):
+    """A walk in plain MuJoCo under `COMMANDS`: states and targets of 300 control steps, or until it has fallen."""
+    model = mujoco.MjModel.from_xml_path(str(xml_path("flat")))
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = controller.initial_state(data.qpos, data.qvel)
+    controller.reset()
+    steps, command = [], None
+    for k in range(300):
+        command = COMMANDS.get(k, command)
+        target = "stand" if command == (0, 0, 0, 1) else command[:3]
+        steps.append((data.qpos.copy(), data.qvel.copy(), command, controller(data.qpos, data.qvel, target)))
+        for _ in range(64):
+            torque = controller.torque(steps[-1][3], data.qpos, data.qvel)
+            data.ctrl[:] = torque / cassie.GEAR
+            mujoco.mj_step(model, data)
+    return steps
+
+
+@needs_node
+def test_a_walk_of_300_steps_is_numpys(exported, walk):
+    content = [
+        {"qpos": qpos.tolist(), "qvel": qvel.tolist(), "target": told(np.array(command)[:, None], 0)}
+        for qpos, qvel, command, _ in walk
+    ]
+    found = node("control.mjs", {"policy": str(exported), "observed": [], "steps": [], "walk": content, "heights": []})
+    close(found["walk"], "targets", [targets for *_, targets in walk])
+    assert found["walk"][160]["carry"]["path"]["heading"] != 0
+    assert found["walk"][299]["carry"]["command"]["stand"] == 1
+
+
+@needs_node
+def test_the_ground_is_as_high_as_numpys(exported):
+    rng = np.random.default_rng(2)
+    places = rng.uniform(-10, 20, (200, 2)).tolist()
+    terrains = [Terrain(kind, 0.7 * level, seed=3) for kind, level in HIGHEST.items()]
+    wanted = [{"terrain": each._asdict(), "x": x, "y": y} for each in terrains for x, y in places]
+    found = node("control.mjs", {"policy": str(exported), "observed": [], "steps": [], "walk": [], "heights": wanted})
+    x, y = np.tile(np.array(places).T, len(terrains))
+    ground = Ground.of([each for each in terrains for _ in places])
+    np.testing.assert_allclose(found["heights"], height_below(ground, x, y), rtol=0, atol=1e-9)
