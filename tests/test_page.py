@@ -19,10 +19,13 @@ from cassie_mjx.control.path import Path as WalkedPath
 from cassie_mjx.control.step import PolicyCarry, policy_step
 from cassie_mjx.export import ExportConfig
 from cassie_mjx.motion.command import Command
-from cassie_mjx.motion.reference import sample
+from cassie_mjx.motion.reference import mean_speed, sample
+from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.physics.types import Scenario, sensed
 from cassie_mjx.robot import cassie
-from cassie_mjx.robot.ground import HIGHEST, Ground, Terrain, height_below
-from cassie_mjx.robot.model import xml_path
+from cassie_mjx.robot.ground import HIGHEST, START_X_M, Ground, Terrain, height_below
+from cassie_mjx.robot.model import ModelConfig, load_model, xml_path
+from cassie_mjx.robot.rotation import turned, yaw
 
 PAGE = Path(__file__).parents[1] / "page"
 NODE = shutil.which("node")
@@ -132,7 +135,9 @@ def test_a_control_step_is_numpys(exported, controller):
     close(found["steps"], "targets", targets)
     carry = [step["carry"] for step in found["steps"]]
     close(carry, "time", after.time)
-    np.testing.assert_allclose([list(each["path"].values()) for each in carry], np.transpose(after.path), atol=TOLERANCE)
+    np.testing.assert_allclose(
+        [list(each["path"].values()) for each in carry], np.transpose(after.path), atol=TOLERANCE
+    )
     np.testing.assert_allclose([list(each["command"].values()) for each in carry], np.transpose(now), atol=TOLERANCE)
 
 
@@ -177,3 +182,68 @@ def test_the_ground_is_as_high_as_numpys(exported):
     x, y = np.tile(np.array(places).T, len(terrains))
     ground = Ground.of([each for each in terrains for _ in places])
     np.testing.assert_allclose(found["heights"], height_below(ground, x, y), rtol=0, atol=1e-9)
+
+
+needs_packages = pytest.mark.skipif(
+    NODE is None or not (PAGE / "node_modules" / "@mujoco").is_dir(), reason="no npm packages here (make site)"
+)
+
+
+def walk_in_c(controller, terrain, delay, push_n):
+    """States every 16 ms of a walk of 1 s on `NativePhysics`, the same as `page/check/physics.mjs` has it, [62, 35]."""
+    physics = NativePhysics(load_model(ModelConfig(scene=terrain.ground.scene)), max_delay=40, threads=1)
+    qpos, qvel = (np.array(part[:1], float) for part in controller.motion[:2])
+    ground = Ground.of([terrain])
+    qpos[:, [cassie.PELVIS_X, cassie.PELVIS_Z]] += np.array([START_X_M * ground.uneven[0], ground.sine[0]])
+    aside = turned(np.array([0.0, 1.0]), yaw(qpos[0, cassie.PELVIS_QUATERNION]))
+    scenario = Scenario.nominal(
+        1,
+        ground=ground,
+        kd_scale=controller.policy.d_gain[:1] / cassie.D_GAIN[0],
+        delay=np.array([delay]),
+        push=push_n * np.append(aside, 0.0)[None, None],
+        push_stop=np.array([[400]]),
+    )
+    controller.reset()
+    state, target, states = physics.init(qpos, qvel), np.zeros((1, 10)), []
+    for sync in range(62):
+        if sync % 2 == 0:
+            seen_qpos, seen_qvel = sensed(state, scenario)
+            target = controller(seen_qpos[0], seen_qvel[0], float(mean_speed(controller.motion)))[None]
+        state = physics.advance(state, target, scenario, 32)
+        states.append(state.qpos[0])
+    return np.array(states)
+
+
+@needs_packages
+@pytest.mark.parametrize(
+    ("terrain", "delay", "push_n", "tolerance"),
+    [
+        (Terrain(), 0, 0.0, 1e-9),
+        (Terrain(), 20, 80.0, 1e-9),
+        (Terrain("steps", 0.05), 0, 80.0, 1e-9),
+        (Terrain("rough", 0.05, 3), 10, 0.0, 1e-9),
+        # The page's field is shorter, and its highest point another: float32 rounds heights otherwise, by 0.1 um.
+        (Terrain("sine", 0.2), 10, 0.0, 1e-3),
+    ],
+)
+def test_a_second_is_that_of_mujoco_c(exported, controller, terrain, delay, push_n, tolerance):
+    content = {
+        "policy": str(exported),
+        "xml": str(xml_path().parent),
+        "terrain": terrain._asdict(),
+        "delaySteps": delay,
+        "push": [push_n, [0, 1]],
+        "syncs": 62,
+    }
+    expected = walk_in_c(controller, terrain, delay, push_n)
+    np.testing.assert_allclose(node("physics.mjs", content)["qpos"], expected, rtol=0, atol=tolerance)
+
+
+@needs_packages
+def test_a_height_field_that_goes_along_changes_nothing(exported):
+    """20 s at 0.7 m/s are farther than it reaches at first."""
+    content = {"policy": str(exported), "xml": str(xml_path().parent), "delaySteps": 0, "syncs": 1250}
+    found = node("physics.mjs", content | {"terrain": Terrain("steps", 0.02)._asdict()})
+    assert found["falls"] == 0
+    assert found["qpos"][-1][0] > 11
