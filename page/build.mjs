@@ -29,7 +29,7 @@ function given(contents) {
   };
 }
 
-const common = {bundle: true, minify: true, format: "iife", target: "es2022", legalComments: "none", logLevel: "warning"};
+const common = {bundle: true, minify: true, format: "iife", target: "es2022", legalComments: "eof", logLevel: "warning"};
 
 const worker = await build({
   ...common,

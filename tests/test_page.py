@@ -148,7 +148,7 @@ def walk(controller, name):
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = controller.initial_state(data.qpos, data.qvel)
     controller.reset()
-    steps, command = [], None
+    steps, command = [], COMMANDS[0]
     for k in range(300):
         command = COMMANDS.get(k, command)
         target = "stand" if command == (0, 0, 0, 1) else command[:3]

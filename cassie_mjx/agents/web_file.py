@@ -100,7 +100,8 @@ def sources(law: ControlLaw) -> np.ndarray:
 
 def _observed(law: ControlLaw, numbers: np.ndarray) -> np.ndarray:
     """The observation [O] of one robot whose state and reference are these numbers, side by side."""
-    seen = Seen(*np.split(numbers[None].astype(float), np.cumsum(_SIZES)[:-1], axis=1))
+    qpos, qvel, reference_qpos, reference_qvel = np.split(numbers[None].astype(float), np.cumsum(_SIZES)[:-1], axis=1)
+    seen = Seen(qpos, qvel, reference_qpos, reference_qvel)
     return law.observation.update(law.init(seen), seen)[0][0]
 
 

@@ -9,11 +9,9 @@ import {Simulation} from "./simulation.js";
 import {HERTZ, SYNC_STEPS} from "./timing.js";
 
 const SYNC_MS = 1000 * SYNC_STEPS / HERTZ, TICK_MS = 4, MOST_OWED_MS = 250, MOST_BUSY_MS = 100, WINDOW_MS = 3000;
-// A robot that lies on the ground touches it everywhere, and slows the physics down: it starts anew after this time, too.
-const LIES_MS = 1500;
 
 let simulation = null, mujoco = null, pace = 1, owed = 0, last = performance.now();
-let stoodAt = last, lately = []; // [when, ms simulated, ms at work] of the last ticks
+let lately = []; // [when, ms simulated, ms at work] of the last ticks
 
 const answers = {
   // Another policy or ground; the robot starts anew.
@@ -54,8 +52,6 @@ function tick() {
     syncs += 1;
   }
   if (syncs) {
-    if (!simulation.fallen || pace < 1) stoodAt = now;
-    if (now - stoodAt > LIES_MS) simulation.restart();
     lately.push([now, syncs * SYNC_MS, performance.now() - now]);
     lately = lately.filter(([when]) => now - when < WINDOW_MS);
     tell(stateOf(simulation, now));

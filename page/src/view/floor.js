@@ -56,6 +56,6 @@ function checker() {
   const texture = new three.CanvasTexture(canvas);
   texture.wrapS = texture.wrapT = three.RepeatWrapping;
   texture.colorSpace = three.SRGBColorSpace;
-  texture.anisotropy = 8;
+  texture.anisotropy = 4;
   return texture;
 }

@@ -2,7 +2,7 @@
 
 const ENOUGH_PER_S = 20, EVERY_MS = 3000;
 // Dots of the picture for each of the screen's, at most, and whether there are shadows.
-const LEVELS = [[2, true], [1, true], [0.6, false]];
+const LEVELS = [[2, true], [1, true], [0.7, false], [0.45, false]];
 
 export class Quality {
   constructor(renderer, sun) {
