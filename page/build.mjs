@@ -14,7 +14,8 @@ const xmlFolder = join(page, "..", "xml"), wasm = join(page, "node_modules/@mujo
 // The texts of a folder's files of an ending, by name.
 async function texts(folder, ending) {
   const names = (await readdir(folder)).filter((name) => name.endsWith(ending)).sort();
-  return Object.fromEntries(await Promise.all(names.map(async (name) => [name, await readFile(join(folder, name), "utf8")])));
+  const read = async (name) => [name, await readFile(join(folder, name), "utf8")];
+  return Object.fromEntries(await Promise.all(names.map(read)));
 }
 
 // What the sources import that is no source: name to contents and how esbuild is to take them.
@@ -29,13 +30,15 @@ function given(contents) {
   };
 }
 
-const common = {bundle: true, minify: true, format: "iife", target: "es2022", legalComments: "eof", logLevel: "warning"};
+const common = {
+  bundle: true, minify: true, format: "iife", target: "es2022", legalComments: "eof", logLevel: "warning",
+};
 
 const worker = await build({
   ...common,
   entryPoints: [join(page, "src/physics/worker.js")],
   write: false,
-  // MuJoCo's loader asks where it lies, and whether this is Node; nothing is fetched from there, for it is handed its bytes.
+  // MuJoCo's loader asks where it lies. It fetches nothing from there, for it is handed its bytes.
   define: {"import.meta.url": "'file:///'"},
   external: ["module", "node:*"],
   plugins: [given({

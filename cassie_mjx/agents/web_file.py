@@ -24,7 +24,7 @@ from cassie_mjx.motion.schedule import LIMITS
 from cassie_mjx.robot import cassie, ground
 
 FORMAT, VERSION = "cassie-mjx policy for the web", 1
-"""The page reads this version alone (`page/src/policy_file.mjs`)."""
+"""The page reads this version alone (`page/src/control/policy_file.js`)."""
 
 _SIZES = (cassie.NQ, cassie.NV, cassie.NQ, cassie.NV)
 """Of what an observation is gathered from: qpos and qvel of the robot, then of the reference."""
@@ -48,7 +48,7 @@ def save_web(file: Path, policy: NumpyPolicy, name: str) -> None:
 def content(policy: NumpyPolicy, name: str) -> dict[str, Any]:
     """What the file says, as JSON has it. Raises ValueError as `save_web` does."""
     if KIND != "perceptron, ReLU":
-        raise ValueError(f"The page runs a perceptron, ReLU; teach `page/src/law.mjs` a {KIND}.")
+        raise ValueError(f"The page runs a perceptron, ReLU; teach `page/src/control/law.js` a {KIND}.")
     law = control_law(policy)
     motion = ReferenceMotion(policy.reference_qpos, policy.reference_qvel, np.asarray(policy.reference_stride_length))
     permutation, sign = law.observation.mirror
@@ -93,7 +93,7 @@ def sources(law: ControlLaw) -> np.ndarray:
     if not (np.isin(places, numbers - 1).all() and np.array_equal(_observed(law, other), other[places])):
         raise ValueError(
             "The page shows a policy numbers of the state and of the reference alone, and this one observes more; "
-            "teach `page/src/law.mjs` its terms."
+            "teach `page/src/control/law.js` its terms."
         )
     return places
 

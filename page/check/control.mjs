@@ -1,4 +1,4 @@
-// The control of the page under Node, for tests/test_page.py: JSON from the standard input, results to the standard output.
+// The control of the page under Node, for tests/test_page.py: JSON on the standard input, results on the output.
 //
 // {policy, observed: [{state, reference}], steps: [{carry, qpos, qvel, target}], walk: [{qpos, qvel, target}]}
 

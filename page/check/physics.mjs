@@ -1,4 +1,4 @@
-// The physics of the page under Node, for tests/test_page.py: JSON from the standard input, results to the standard output.
+// The physics of the page under Node, for tests/test_page.py: JSON on the standard input, results on the output.
 //
 // {policy, xml, terrain, delaySteps, push: [N, [forward, left]], syncs}: qpos after each 16 ms.
 
@@ -9,7 +9,8 @@ import {readPolicy} from "../src/control/policy_file.js";
 import {Simulation} from "../src/physics/simulation.js";
 
 const input = JSON.parse(readFileSync(0, "utf8"));
-const files = Object.fromEntries(readdirSync(input.xml).map((name) => [name, readFileSync(join(input.xml, name), "utf8")]));
+const read = (name) => [name, readFileSync(join(input.xml, name), "utf8")];
+const files = Object.fromEntries(readdirSync(input.xml).map(read));
 const mujoco = await loadMujoco();
 const policy = readPolicy(readFileSync(input.policy, "utf8"));
 const simulation = new Simulation(mujoco, files, policy, input.terrain);

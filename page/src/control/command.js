@@ -4,7 +4,8 @@ import {clip} from "./state.js";
 
 // The command one control step later on its way to a target.
 //
-// A robot comes to stand only when it steps on the spot and both feet are down, and walks only when it no longer stands.
+// A robot comes to stand only when it steps on the spot and both feet are down, and walks only when it no longer
+// stands.
 export function toward({steering, reference, robot}, command, target, time) {
   const period = robot.control_period_s;
   const still = command.forward === 0 && command.lateral === 0 && command.yawRate === 0 && feetDown(reference, time);

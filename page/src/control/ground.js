@@ -1,4 +1,4 @@
-// The ground, as cassie_mjx/robot/ground.py has it: a terrain is {kind, level, seed}, of one of the kinds of HIGHEST there.
+// The ground, as cassie_mjx/robot/ground.py has it: a terrain is {kind, level, seed}, its kind one of HIGHEST there.
 
 import {clip} from "./state.js";
 

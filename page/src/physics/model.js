@@ -2,8 +2,8 @@
 
 import {heightBelow} from "../control/ground.js";
 
-// The height field of the page goes along with the robot; its points are those of the fields in xml/, 0.05 m apart along
-// x and, where it is rough, along y.
+// The height field of the page goes along with the robot; its points are those of the fields in xml/, 0.05 m apart
+// along x and, where it is rough, along y.
 const HALF_X_M = 10, HALF_Y_M = {rough: 5, other: 20}, SPACING_M = 0.05, COLUMNS = points(HALF_X_M);
 const WIDEST_WAY_M = [4, 2];
 
@@ -67,14 +67,14 @@ export function shapesOf(model) {
   for (let i = 0; i < model.ngeom; i++) {
     const material = model.geom_matid[i], seen = model.geom_group[i] === 1 && model.geom_bodyid[i] > 0;
     if (!seen) continue;
-    const colour = material >= 0 ? model.mat_rgba.slice(4 * material, 4 * material + 3) : model.geom_rgba.slice(4 * i, 4 * i + 3);
+    const [colours, owner] = material >= 0 ? [model.mat_rgba, material] : [model.geom_rgba, i];
     shapes.push({
       body: model.geom_bodyid[i],
       type: model.geom_type[i],
       size: Array.from(model.geom_size.slice(3 * i, 3 * i + 3)),
       position: Array.from(model.geom_pos.slice(3 * i, 3 * i + 3)),
       quaternion: Array.from(model.geom_quat.slice(4 * i, 4 * i + 4)),
-      colour: Array.from(colour),
+      colour: Array.from(colours.slice(4 * owner, 4 * owner + 3)),
     });
   }
   return shapes;

@@ -1,4 +1,4 @@
-// One robot that walks: MuJoCo at 2 kHz, the PD law at each of its steps, a policy every 32 ms, delay, pushes and falls.
+// One robot that walks: MuJoCo at 2 kHz, the PD law at each of its steps, a policy every 32 ms, delay, pushes, falls.
 
 import {begin, step} from "../control/controller.js";
 import {heightBelow, startOffset} from "../control/ground.js";

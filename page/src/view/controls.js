@@ -3,7 +3,9 @@
 import {MOVES} from "./steering.js";
 
 const PARTS = {forward: "forward, m/s", lateral: "left, m/s", yawRate: "turn left, rad/s"};
-const PADS = ["turn left", "faster", "turn right", "to the left", "stop", "to the right", "start anew", "slower", "stand"];
+const PADS = [
+  "turn left", "faster", "turn right", "to the left", "stop", "to the right", "start anew", "slower", "stand",
+];
 const KEYS = {
   ArrowUp: "faster", ArrowDown: "slower", ArrowLeft: "turn left", ArrowRight: "turn right",
   a: "to the left", d: "to the right", Delete: "to the left", PageDown: "to the right",
@@ -126,7 +128,7 @@ function button(label, text, press) {
 }
 
 function slider(title, min, max, step, value) {
-  const label = document.createElement("label"), text = element("span", `${title} `), input = document.createElement("input");
+  const label = element("label", ""), text = element("span", `${title} `), input = document.createElement("input");
   text.append(document.createElement("output"));
   Object.assign(input, {type: "range", min, max, step});
   label.append(text, input);

@@ -130,8 +130,8 @@ function learned({name, commands}) {
   if (!commands) return `${name} walks as it learned to; its file does not say which commands it can follow.`;
   const [[low, high], [, aside], [, turn]] = commands;
   if (low === high) return `${name} learned one speed, ${low.toFixed(2)} m/s; other commands are more than it learned.`;
-  return `${name} learned speeds of ${low.toFixed(1)} to ${high.toFixed(1)} m/s ahead, up to ${aside.toFixed(1)} m/s to a ` +
-    `side, and turns of up to ${turn.toFixed(1)} rad/s.`;
+  return `${name} learned speeds of ${low.toFixed(1)} to ${high.toFixed(1)} m/s ahead, up to ${aside.toFixed(1)} m/s ` +
+    `to a side, and turns of up to ${turn.toFixed(1)} rad/s.`;
 }
 
 const sentence = lacking();

@@ -1,7 +1,11 @@
 // What is commanded and what is, over the last seconds: a line each, in a small canvas for each velocity.
 
 const SECONDS = 12, POINTS = 300, COMMANDED = "#8a8f94", ACTUAL = "#0a63c9";
-const AXES = [["forward", "forward, m/s", [-1, 3]], ["lateral", "left, m/s", [-0.6, 0.6]], ["yawRate", "turn left, rad/s", [-1.2, 1.2]]];
+const AXES = [
+  ["forward", "forward, m/s", [-1, 3]],
+  ["lateral", "left, m/s", [-0.6, 0.6]],
+  ["yawRate", "turn left, rad/s", [-1.2, 1.2]],
+];
 
 export class Plots {
   constructor(box) {
@@ -36,7 +40,8 @@ export class Plots {
       line(context, [[0, 0], [1, 0]].map(([x, y]) => at(x, y, range, canvas)), "#d5d9dd", 1);
       if (!this.rows.length) return;
       const end = this.rows.at(-1).seconds;
-      const points = (value) => this.rows.map((row) => at(1 - (end - row.seconds) / SECONDS, value(row), range, canvas));
+      const across = (row) => 1 - (end - row.seconds) / SECONDS;
+      const points = (value) => this.rows.map((row) => at(across(row), value(row), range, canvas));
       line(context, points((row) => row.command[name]), COMMANDED, 1.5);
       line(context, points((row) => row.velocity[axis]), ACTUAL, 1.5);
     });

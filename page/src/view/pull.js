@@ -1,4 +1,4 @@
-// Pulling the robot: a spring from the point that was grasped to where the pointer is, in the plane that faces the camera.
+// Pulling the robot: a spring from the point that was grasped to the pointer, in the plane that faces the camera.
 
 import * as three from "three";
 

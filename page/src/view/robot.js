@@ -16,9 +16,11 @@ const MAKERS = {
 
 // A group with a mesh for each body that has shapes; `mesh.userData.body` is the body's number.
 export function makeRobot(shapes) {
-  const robot = new three.Group(), material = new three.MeshPhongMaterial({vertexColors: true, shininess: 40, specular: 0x333333});
+  const robot = new three.Group();
+  const material = new three.MeshPhongMaterial({vertexColors: true, shininess: 40, specular: 0x333333});
   for (const body of new Set(shapes.map((shape) => shape.body))) {
-    const mesh = new three.Mesh(mergeGeometries(shapes.filter((shape) => shape.body === body).map(geometryOf)), material);
+    const parts = shapes.filter((shape) => shape.body === body).map(geometryOf);
+    const mesh = new three.Mesh(mergeGeometries(parts), material);
     mesh.castShadow = mesh.receiveShadow = true;
     mesh.userData.body = body;
     robot.add(mesh);
@@ -38,7 +40,7 @@ export function placeRobot(robot, positions, quaternions) {
 function geometryOf({type, size, position, quaternion: [w, x, y, z], colour}) {
   if (!(type in MAKERS)) throw new Error(`The page draws no geoms of MuJoCo's type ${type}.`);
   const geometry = MAKERS[type](size).applyQuaternion(new three.Quaternion(x, y, z, w)).translate(...position);
-  const {r, g, b} = new three.Color().setRGB(...colour, three.SRGBColorSpace), count = geometry.attributes.position.count;
-  const colours = Float32Array.from({length: 3 * count}, (_, i) => [r, g, b][i % 3]);
+  const linear = new three.Color().setRGB(...colour, three.SRGBColorSpace).toArray();
+  const colours = Float32Array.from({length: 3 * geometry.attributes.position.count}, (_, i) => linear[i % 3]);
   return geometry.setAttribute("color", new three.BufferAttribute(colours, 3));
 }
