@@ -94,10 +94,10 @@ class Page {
 
   #draw() {
     requestAnimationFrame(() => this.#draw());
-    if (!this.moment) return;
     const now = performance.now();
+    if (!this.moment || !this.scene.quality.due(now)) return;
     this.pictures = [...this.pictures.filter((when) => now - when < 1000), now];
-    this.scene.quality.update(now, this.pictures.length);
+    this.scene.quality.update(now, this.pictures.length, this.moment.realTime);
     this.scene.draw(this.moment);
     this.plots.draw();
     this.controls.show(this.target, this.figures.limits);
