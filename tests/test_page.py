@@ -265,9 +265,9 @@ def test_the_page_has_a_policy_of_each_kind_of_place(tmp_path, capsys):
     (tmp_path / "1x.json").write_text('{"notes": "mine"}')
     with pytest.raises(ValueError, match=r"1x\.json exists and is not a policy of ours for the page"):
         export.main(ExportConfig(policy="1x", web=str(tmp_path)))
-    for wrong in ({}, {"out": "a.npz", "web": "."}):
+    for out, web in ((None, None), ("a.npz", ".")):
         with pytest.raises(ValueError, match="Either out or web must be given"):
-            ExportConfig(policy="1x", **wrong)
+            ExportConfig(policy="1x", out=out, web=web)
 
 
 def test_a_term_that_the_page_cannot_compute_is_refused():
