@@ -2,9 +2,11 @@
 PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin/python
+# Of the page; it begins with joystick.
+POLICIES := joystick 1x-robust any 1x
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train test test-all lint bench report docs clean
+.PHONY: help setup train test test-all lint bench report site docs clean
 
 help:            ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/:/'
@@ -39,9 +41,17 @@ bench: setup     ## throughput of both engines on this machine
 report: setup    ## report/index.html and the tables of README.md, docs/results.md and docs/evaluate.md, from experiments/results
 	$(RUN) -m experiments.report out=report/index.html readme=README.md page=docs/results.md drives=docs/evaluate.md overwrite=true
 
-docs: setup      ## the guide as a site, in site/
+site: setup      ## the page in which anyone drives Cassie, in docs/drive/; needs Node and npm
+	@command -v npm > /dev/null || { echo "make site needs Node 18 or newer and npm: apt-get install nodejs npm." >&2; exit 1; }
+	cd page && npm ci --ignore-scripts --no-audit --no-fund --loglevel=error
+	rm -rf page/build && mkdir page/build
+	for name in $(POLICIES); do $(RUN) -m cassie_mjx.export policy=$$name web=page/build || exit 1; done
+	node page/build.mjs page/build docs/drive
+
+docs: setup      ## the guide as a site, in site/, with the page where npm is installed
+	@if command -v npm > /dev/null; then $(MAKE) site; else echo "Without npm the page to drive Cassie in is left out."; fi
 	$(RUN) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(RUN) -m mkdocs build --quiet --strict
 
-clean:           ## remove the virtual environment and caches
-	rm -rf $(VENV) .pytest_cache .ruff_cache dist site
+clean:           ## remove the virtual environment, caches and what was built
+	rm -rf $(VENV) .pytest_cache .ruff_cache dist site docs/drive page/build page/node_modules

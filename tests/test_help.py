@@ -73,9 +73,32 @@ def test_help_has_defaults_choices_and_presets(monkeypatch, capsys):
     assert changed.walk == PRESETS["walk"][1]["robust"]
 
 
-def test_help_names_a_key_that_must_be_given(monkeypatch, capsys):
-    entries, _, _ = helped(monkeypatch, capsys, ROOT / "cassie_mjx" / "export.py")
-    assert entries["out=..."] == "File to write, .npz or .onnx. It must be given."
+COMMAND = '''
+"""A command."""
+
+from dataclasses import dataclass
+
+from cassie_mjx import cli
+from cassie_mjx.configuration.values import Checked
+
+
+@dataclass(frozen=True)
+class Config(Checked):
+    """Its keys."""
+
+    out: str
+    """File to write."""
+
+
+cli.run(print, Config)
+'''
+
+
+def test_help_names_a_key_that_must_be_given(monkeypatch, capsys, tmp_path):
+    command = tmp_path / "command.py"
+    command.write_text(COMMAND)
+    entries, _, _ = helped(monkeypatch, capsys, command)
+    assert entries["out=..."] == "File to write. It must be given."
 
 
 def test_help_into_a_pipe_that_closes_is_no_error():

@@ -138,13 +138,13 @@ def smooth_height_below(ground: Ground, x: Array, y: Array) -> Array:
 def _noise(seed: Array, x: Array, y: Array) -> Array:
     """Smooth noise of standard deviation 1/4, [...]: waves in all directions."""
     xp = namespace(seed, x)
-    along_x, along_y, phase = xp.moveaxis(xp.asarray(_WAVES, dtype=x.dtype)[seed], -1, 0)
+    along_x, along_y, phase = xp.moveaxis(xp.asarray(WAVES, dtype=x.dtype)[seed], -1, 0)
     waves = xp.sin(along_x * x[..., None] + along_y * y[..., None] + phase)
     return math.sqrt(2 / _WAVES_PER_GROUND) / 4 * waves.sum(axis=-1)
 
 
 def _draw_waves() -> np.ndarray:
-    """Wave numbers along x and y (rad/m) and phase (rad) of the waves of each rough ground, [seed, wave, 3]."""
+    """What `WAVES` has, drawn with seed 0."""
     shape = (ROUGH_SEEDS, _WAVES_PER_GROUND)
     draw = np.random.default_rng(0)
     number = 2 * np.pi / draw.uniform(*_WAVELENGTHS_M, shape)
@@ -152,7 +152,8 @@ def _draw_waves() -> np.ndarray:
     return np.stack([number * np.cos(direction), number * np.sin(direction), phase], axis=-1)
 
 
-_WAVES = _draw_waves()
+WAVES = _draw_waves()
+"""Wave numbers along x and y (rad/m) and phase (rad) of the waves of each rough ground, [seed, wave, 3]."""
 
 
 def scene_of(model: mujoco.MjModel) -> str:
