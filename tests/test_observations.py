@@ -1,0 +1,102 @@
+"""Lists of terms: numbers worked by hand, mirror images, noise, the same on both engines."""
+
+import jax
+import numpy as np
+import pytest
+
+from cassie_mjx.control.observation import OBSERVATIONS, Seen
+from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.envs.walk import WalkEnv
+from cassie_mjx.motion.files import load_motion
+from cassie_mjx.physics.make import make_physics
+from cassie_mjx.physics.types import Scenario
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.model import MJX_TRAINING
+
+ROBOTS = 512
+SENSORS = OBSERVATIONS["sensors"]
+# Where MuJoCo's qpos and qvel have hip roll, yaw and pitch, knee, foot, shin and tarsus of the left and the right leg.
+ANGLES = (7, 8, 9, 14, 20, 15, 16, 21, 22, 23, 28, 34, 29, 30)
+SPEEDS = (6, 7, 8, 12, 18, 13, 14, 19, 20, 21, 25, 31, 26, 27)
+
+
+def observe(terms, *states):
+    seen = Seen(*states)
+    return np.asarray(terms.update(terms.init(seen), seen)[0])
+
+
+def counted():
+    """Numbers that say where they come from: of qpos 1 to 35, of qvel 101 to 132, of the reference 1000 more."""
+    qpos, qvel = 1 + np.arange(35.0)[None], 101 + np.arange(32.0)[None]
+    return qpos, qvel, 1000 + qpos, 1000 + qvel
+
+
+def test_sensors_are_what_imu_and_encoders_tell():
+    seen = observe(SENSORS, *counted())[0]
+    robot = [4, 5, 6, 7, 104, 105, 106, *(1 + i for i in ANGLES), *(101 + i for i in SPEEDS)]
+    reference = [4, 5, 6, 7, 101, 102, 103, 104, 105, 106, *(1 + i for i in ANGLES), *(101 + i for i in SPEEDS)]
+    np.testing.assert_array_equal(seen, [*robot, *(1000 + number for number in reference)])
+
+
+def test_sensors_tell_neither_place_nor_velocity_of_the_pelvis():
+    qpos, qvel, *reference = counted()
+    elsewhere, faster = qpos.copy(), qvel.copy()
+    elsewhere[:, :3], faster[:, :3] = np.nan, np.nan
+    np.testing.assert_array_equal(observe(SENSORS, elsewhere, faster, *reference), observe(SENSORS, *counted()))
+
+
+def test_an_estimate_is_the_full_state():
+    """What the file of a policy says of them is the same: noise is of training alone."""
+    estimated, full = OBSERVATIONS["estimated"], OBSERVATIONS["full"]
+    np.testing.assert_array_equal(observe(estimated, *counted()), observe(full, *counted()))
+    assert estimated.describe() == full.describe()
+    assert not full.noise.any()
+
+
+@pytest.mark.parametrize("terms", OBSERVATIONS.values(), ids=OBSERVATIONS)
+def test_a_mirror_image_is_seen_as_the_reflection(terms):
+    rng = np.random.default_rng(0)
+    states = [rng.normal(size=(20, size)) for size in (cassie.NQ, cassie.NV, cassie.NQ, cassie.NV)]
+    images = [mirror(state) for mirror, state in zip(2 * [cassie.mirror_qpos, cassie.mirror_qvel], states, strict=True)]
+    np.testing.assert_array_equal(terms.mirrored(observe(terms, *states)), observe(terms, *images))
+
+
+def start(engine, observation, key, symmetric=False):
+    """Robots on the reference motion, as they begin."""
+    config = WalkConfig(observation=observation, symmetric=symmetric)
+    env = WalkEnv(make_physics(engine, MJX_TRAINING), load_motion("walk"), config, ROBOTS)
+    return env.reset_at(np.arange(ROBOTS), Scenario.nominal(ROBOTS), key=key)
+
+
+@pytest.mark.parametrize(
+    ("name", "places", "widths"),
+    [
+        ("estimated", (2, 4, 3, 3, 14, 14), (0.02, 0.01, 0.1, 0.2, 0.01, 0.2)),
+        ("sensors", (4, 3, 14, 14), (0.01, 0.2, 0.01, 0.2)),
+    ],
+)
+def test_noise_is_uniform_and_on_the_robot_alone(name, places, widths):
+    clean, noisy = (start("native", name, key).observation for key in (None, jax.random.key(3)))
+    noise = np.asarray(noisy) - np.asarray(clean)
+    width, robot = np.repeat(widths, places), sum(places)
+    now = np.concatenate([np.arange(0, term.size) + begin for term, begin in _beginnings(OBSERVATIONS[name])])
+    np.testing.assert_array_equal(noise[:, now][:, robot:], 0)
+    noise = noise[:, now][:, :robot]
+    assert (abs(noise) <= width + 1e-6).all()
+    np.testing.assert_allclose(abs(noise).max(axis=0), width, rtol=0.05)
+    # Half-width over sqrt 3 is the standard deviation of what is uniform.
+    np.testing.assert_allclose(noise.std(axis=0), width / np.sqrt(3), rtol=0.15)
+
+
+def _beginnings(terms):
+    begin = 0
+    for term in terms.terms:
+        yield term, begin
+        begin += term.size * term.history
+
+
+@pytest.mark.parametrize("name", OBSERVATIONS)
+def test_both_engines_see_the_same_of_the_same_state(name):
+    ours, theirs = (start(engine, name, jax.random.key(4), symmetric=True) for engine in ("native", "mjx"))
+    np.testing.assert_allclose(ours.observation, theirs.observation, atol=1e-6)
+    np.testing.assert_allclose(ours.sensing, theirs.sensing, atol=1e-6)
