@@ -31,11 +31,25 @@ def counted():
     return qpos, qvel, 1000 + qpos, 1000 + qvel
 
 
+ROBOT = [(4, 5, 6, 7), (104, 105, 106), tuple(1 + i for i in ANGLES), tuple(101 + i for i in SPEEDS)]
+REFERENCE = [(4, 5, 6, 7), (101, 102, 103), *ROBOT[1:]]
+
+
 def test_sensors_are_what_imu_and_encoders_tell():
+    """Four times what they tell now, as long as nothing else has been seen."""
     seen = observe(SENSORS, *counted())[0]
-    robot = [4, 5, 6, 7, 104, 105, 106, *(1 + i for i in ANGLES), *(101 + i for i in SPEEDS)]
-    reference = [4, 5, 6, 7, 101, 102, 103, 104, 105, 106, *(1 + i for i in ANGLES), *(101 + i for i in SPEEDS)]
-    np.testing.assert_array_equal(seen, [*robot, *(1000 + number for number in reference)])
+    robot = [number for term in ROBOT for number in 4 * term]
+    np.testing.assert_array_equal(seen, [*robot, *(1000 + number for term in REFERENCE for number in term)])
+
+
+def test_a_history_has_the_newest_first_and_of_the_robot_alone():
+    """After steps that add 10,000 each: 4, 3, 2 and 1 of them, the fifth being forgotten."""
+    steps = [Seen(*(10_000 * k + numbers for numbers in counted())) for k in range(5)]
+    carry = SENSORS.init(steps[0])
+    for seen in steps:
+        observation, carry = SENSORS.update(carry, seen)
+    robot = [10_000 * k + number for term in ROBOT for k in (4, 3, 2, 1) for number in term]
+    np.testing.assert_array_equal(observation[0], [*robot, *(41_000 + n for term in REFERENCE for n in term)])
 
 
 def test_sensors_tell_neither_place_nor_velocity_of_the_pelvis():
@@ -55,10 +69,14 @@ def test_an_estimate_is_the_full_state():
 
 @pytest.mark.parametrize("terms", OBSERVATIONS.values(), ids=OBSERVATIONS)
 def test_a_mirror_image_is_seen_as_the_reflection(terms):
-    rng = np.random.default_rng(0)
-    states = [rng.normal(size=(20, size)) for size in (cassie.NQ, cassie.NV, cassie.NQ, cassie.NV)]
-    images = [mirror(state) for mirror, state in zip(2 * [cassie.mirror_qpos, cassie.mirror_qvel], states, strict=True)]
-    np.testing.assert_array_equal(terms.mirrored(observe(terms, *states)), observe(terms, *images))
+    rng, (ours, theirs) = np.random.default_rng(0), (None, None)
+    for _ in range(5):
+        states = Seen(*(rng.normal(size=(20, size)) for size in (cassie.NQ, cassie.NV, cassie.NQ, cassie.NV)))
+        mirrors = 2 * (cassie.mirror_qpos, cassie.mirror_qvel)
+        images = Seen(*(mirror(state) for mirror, state in zip(mirrors, states[:4], strict=True)))
+        ours, theirs = (terms.init(each) if old is None else old for each, old in ((states, ours), (images, theirs)))
+        (seen, ours), (image, theirs) = terms.update(ours, states), terms.update(theirs, images)
+        np.testing.assert_array_equal(terms.mirrored(seen), image)
 
 
 def start(engine, observation, key, symmetric=False):

@@ -173,10 +173,13 @@ NOISE = {"m": 0.02, "1": 0.01, "m/s": 0.1, "rad": 0.01, "rad/s": 0.2}
 Joint angles and the gyro as in mjlab's training. Joint velocities have nearly the standard deviation of roadrunner's,
 0.1 rad/s."""
 
+HISTORY = 4
+"""Control steps of what is sensed that a policy sees, the present one included: 0.128 s."""
+
 _ROBOT, _REFERENCE = _state_terms("robot"), _state_terms("reference")
 _ESTIMATED = tuple(replace(term, noise=NOISE[term.unit]) for term in _ROBOT)
 # No sensor of the robot tells where its pelvis is, and how fast that moves.
-_SENSED = tuple(term for term in _ESTIMATED if term.unit not in ("m", "m/s"))
+_SENSED = tuple(replace(term, history=HISTORY) for term in _ESTIMATED if term.unit not in ("m", "m/s"))
 _NO_PLACE = tuple(term for term in _REFERENCE if term.unit != "m")
 
 OBSERVATIONS = {
@@ -187,5 +190,6 @@ OBSERVATIONS = {
 """Lists of terms by name.
 
 "full" is the 80-D state of Xie et al. 2018, "estimated" the same with noise in training. "sensors" has what the robot's
-IMU and encoders tell, with noise in training. Its reference has a velocity, which shows the command, and no place.
+IMU and encoders tell and told in the last steps, with noise in training. Its reference has a velocity, which shows the
+command, and no place.
 """
