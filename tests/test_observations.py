@@ -6,8 +6,10 @@ import pytest
 
 from cassie_mjx.control.observation import OBSERVATIONS, Seen
 from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.envs.types import StartOffset
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.files import load_motion
+from cassie_mjx.motion.reference import sample
 from cassie_mjx.physics.make import make_physics
 from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot import cassie
@@ -20,8 +22,12 @@ ANGLES = (7, 8, 9, 14, 20, 15, 16, 21, 22, 23, 28, 34, 29, 30)
 SPEEDS = (6, 7, 8, 12, 18, 13, 14, 19, 20, 21, 25, 31, 26, 27)
 
 
+def seen_of(qpos, qvel, ahead, ahead_v):
+    return Seen(qpos, qvel, ahead, ahead_v)
+
+
 def observe(terms, *states):
-    seen = Seen(*states)
+    seen = seen_of(*states)
     return np.asarray(terms.update(terms.init(seen), seen)[0])
 
 
@@ -44,8 +50,8 @@ def test_sensors_are_what_imu_and_encoders_tell():
 
 def test_a_history_has_the_newest_first_and_of_the_robot_alone():
     """After steps that add 10,000 each: 4, 3, 2 and 1 of them, the fifth being forgotten."""
-    steps = [Seen(*(10_000 * k + numbers for numbers in counted())) for k in range(5)]
-    carry = SENSORS.init(steps[0])
+    steps = [seen_of(*(10_000 * k + numbers for numbers in counted())) for k in range(5)]
+    carry, observation = SENSORS.init(steps[0]), np.zeros((1, 0))
     for seen in steps:
         observation, carry = SENSORS.update(carry, seen)
     robot = [10_000 * k + number for term in ROBOT for k in (4, 3, 2, 1) for number in term]
@@ -71,9 +77,11 @@ def test_an_estimate_is_the_full_state():
 def test_a_mirror_image_is_seen_as_the_reflection(terms):
     rng, (ours, theirs) = np.random.default_rng(0), (None, None)
     for _ in range(5):
-        states = Seen(*(rng.normal(size=(20, size)) for size in (cassie.NQ, cassie.NV, cassie.NQ, cassie.NV)))
-        mirrors = 2 * (cassie.mirror_qpos, cassie.mirror_qvel)
-        images = Seen(*(mirror(state) for mirror, state in zip(mirrors, states[:4], strict=True)))
+        qpos, qvel, ahead, ahead_v = (rng.normal(size=(20, n)) for n in 2 * (cassie.NQ, cassie.NV))
+        states = seen_of(qpos, qvel, ahead, ahead_v)
+        images = seen_of(
+            cassie.mirror_qpos(qpos), cassie.mirror_qvel(qvel), cassie.mirror_qpos(ahead), cassie.mirror_qvel(ahead_v)
+        )
         ours, theirs = (terms.init(each) if old is None else old for each, old in ((states, ours), (images, theirs)))
         (seen, ours), (image, theirs) = terms.update(ours, states), terms.update(theirs, images)
         np.testing.assert_array_equal(terms.mirrored(seen), image)
@@ -118,3 +126,26 @@ def test_both_engines_see_the_same_of_the_same_state(name):
     ours, theirs = (start(engine, name, jax.random.key(4), symmetric=True) for engine in ("native", "mjx"))
     np.testing.assert_allclose(ours.observation, theirs.observation, atol=1e-6)
     np.testing.assert_allclose(ours.sensing, theirs.sensing, atol=1e-6)
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_a_critic_sees_the_true_state_against_the_reference(symmetric):
+    """By hand: 40 numbers after how far ahead it is, in units of 0.1 m, 0.1, 0.5 m/s, 0.2 rad and 2 rad/s."""
+    motion = load_motion("walk")
+    config = WalkConfig(observation="sensors", symmetric=symmetric)
+    env = WalkEnv(make_physics("native", MJX_TRAINING), motion, config, 22)
+    offset = StartOffset(np.full((22, 2), [0.3, -0.2]), np.full((22, 2), [-0.05, 0.02]))
+    state = env.reset_at(np.arange(22), Scenario.nominal(22), offset=offset, key=jax.random.key(7))
+    (qpos, qvel), (ahead, ahead_v) = sample(motion, np.arange(22)), sample(motion, np.arange(22) + 1)
+    qpos, qvel = np.add(qpos, [-0.05, 0.02, *33 * [0]]), np.add(qvel, [0.3, -0.2, *30 * [0]])
+    image = symmetric & (ahead[:, cassie.HIP_PITCH_QPOS[0]] < ahead[:, cassie.HIP_PITCH_QPOS[1]])[:, None]
+    off = np.where(image, cassie.mirror_qpos(qpos - ahead), qpos - ahead)
+    off_v = np.where(image, cassie.mirror_qvel(qvel - ahead_v), qvel - ahead_v)
+    parts = [off[:, 1:3] / 0.1, off[:, 3:7] / 0.1, off_v[:, :3] / 0.5, off_v[:, 3:6] / 2]
+    parts += [off[:, list(ANGLES)] / 0.2, off_v[:, list(SPEEDS)] / 2]
+    expected = np.concatenate([np.full((22, 1), -0.05 / 0.25), *parts], axis=1).clip(-10, 10)
+    np.testing.assert_allclose(state.privileged, expected, atol=1e-4)
+
+
+def test_a_critic_of_the_full_state_sees_no_more_than_before():
+    assert start("native", "full", None).privileged.shape == (ROBOTS, 1)
