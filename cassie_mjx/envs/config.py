@@ -68,6 +68,9 @@ class WalkConfig(Checked):
     dynamics: str = "none"
     """How far robots differ from the model in mass, friction, damping, springs, motors, gains and encoders, and the
     ground from level: "none", "moderate" or "wide". Each episode draws all of it anew."""
+    electronics: bool = False
+    """Whether robots sense what Cassie's encoders and filters show, and their torques are limited by the motors' speed
+    and 3 ms late, or as late as `dynamics` has it. Below 2 kHz the filters see straight lines from step to step."""
 
     def __post_init__(self) -> None:
         """Check every value, and that no episode ends as it begins."""

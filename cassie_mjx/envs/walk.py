@@ -127,6 +127,11 @@ class WalkEnv:
         offset = StartOffset(np.zeros((robots, 2)), np.zeros((robots, 2))) if offset is None else offset
         start = self._start(jnp.asarray(time, jnp.int32), told, offset, scenario, key)
         physics = self.physics.init(start.qpos, start.qvel)
+        if self.config.electronics != (physics.electronics is not None):
+            raise ValueError(
+                f"electronics={self.config.electronics} is not what this engine was made for; make it with "
+                f"ModelConfig(electronics={self.config.electronics})."
+            )
         zeros, ended = jnp.zeros(robots), jnp.zeros(robots, bool)
         metrics = {name: zeros for name in (*reward.SCALES, *reward.Terms._fields, *Ends._fields)}
         return WalkState(
