@@ -35,6 +35,9 @@ class EvaluateConfig(AgentConfig):
     """Whether what lasts 10 s is done for 60 s as well; those quantities end in _60s."""
     physics: str = "native"
     """The engine: "native", MuJoCo C, which every headline figure comes from, or "mjx"; both at 2 kHz."""
+    electronics: bool = False
+    """Whether robots sense what Cassie's encoders and filters show, with torques that speed limits and that are 3 ms
+    late."""
     out: str = "evaluation.json"
     """Result file."""
     overwrite: bool = False
@@ -53,7 +56,7 @@ def main(config: EvaluateConfig) -> None:
         began = time.perf_counter()
         with console.status(f"{suite}: walking up to speed") as status:
             progress = partial(_show, status, suite)
-            result = SUITES[suite](agent, EvalSetup(config.physics, config.long, progress))
+            result = SUITES[suite](agent, EvalSetup(config.physics, config.long, progress, config.electronics))
         seconds[suite] = round(time.perf_counter() - began, 1)
         found = [{"agent": agent.name, **metric._asdict()} for metric in result.metrics]
         console.print(table(f"{agent.name}: {suite}", found))

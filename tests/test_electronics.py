@@ -6,9 +6,14 @@ import jax
 import numpy as np
 import pytest
 
+from cassie_mjx.agents.make import make_agent
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.make import make_env
 from cassie_mjx.envs.walk import WalkEnv
+from cassie_mjx.evaluation.film import begin
+from cassie_mjx.evaluation.scheduler import run_trials
+from cassie_mjx.evaluation.setup import LIMIT_PHASES, EvalSetup
+from cassie_mjx.evaluation.trial import Trial
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.make import make_physics
 from cassie_mjx.physics.native import NativePhysics
@@ -230,6 +235,25 @@ def test_robots_begin_anew_with_a_memory_of_their_own():
     expected = electronics.init(state.physics.qpos, state.physics.qvel)
     for now, anew in zip(memory, expected, strict=True):
         np.testing.assert_array_equal(now, anew)
+
+
+def test_suites_walk_with_electronics():
+    """Noise-free counts and 3 ms cost 1x little, and change its walk."""
+    agent, found = make_agent("1x"), []
+    for on in (False, True):
+        setup = EvalSetup(electronics=on)
+        starts = setup.starts(agent, LIMIT_PHASES[:2])
+        assert (starts.physics.electronics is not None) == on
+        found.append(run_trials(agent, setup.physics(), starts, [Trial(0, 3.0), Trial(1, 3.0)]))
+    assert not found[1].fell.any()
+    np.testing.assert_allclose(found[1].speed_mps, found[0].speed_mps, atol=0.1)
+    assert np.abs(found[1].distance_m - found[0].distance_m).max() > 1e-4
+
+
+def test_films_have_electronics_too():
+    for on in (False, True):
+        _, robots = begin(make_agent("1x"), Trial(0, 1.0), 0.0, on)
+        assert (robots.physics.electronics is not None) == on
 
 
 def test_without_electronics_nothing_is_remembered():
