@@ -29,8 +29,9 @@ class EvaluateConfig(AgentConfig):
     suite: str = "all"
     """"walk", "delay", "terrain", "push", "all" of them, "ground": slopes, steps and rough ground, "map": all pushes in
     16 directions, "forces": pushes of 0.1 to 1 s, two pushes, steady forces and random pushes for a minute,
-    "dynamics": robots that differ in mass, friction, springs, motors and encoders, or
-    "command": how a policy follows forward and lateral velocities and yaw rates."""
+    "dynamics": robots that differ in mass, friction, springs, motors and encoders, "sensors": noise, a leaning IMU,
+    encoders that are off and a drifting heading, with electronics, or "command": how a policy follows forward and
+    lateral velocities and yaw rates."""
     long: bool = False
     """Whether what lasts 10 s is done for 60 s as well; those quantities end in _60s."""
     physics: str = "native"
