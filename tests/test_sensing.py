@@ -26,7 +26,7 @@ from cassie_mjx.robot import cassie
 from cassie_mjx.robot.model import xml_path
 
 SENSORS = OBSERVATIONS["sensors"]
-TASK = {"ppo": TINY, "walk": WalkConfig(observation="sensors")}
+TASK = {"ppo": TINY, "walk": WalkConfig(observation="sensors", electronics=True)}
 
 
 def lived(steps):
