@@ -29,12 +29,16 @@ class EvaluateConfig(AgentConfig):
     suite: str = "all"
     """"walk", "delay", "terrain", "push", "all" of them, "ground": slopes, steps and rough ground, "map": all pushes in
     16 directions, "forces": pushes of 0.1 to 1 s, two pushes, steady forces and random pushes for a minute,
-    "dynamics": robots that differ in mass, friction, springs, motors and encoders, or
-    "command": how a policy follows forward and lateral velocities and yaw rates."""
+    "dynamics": robots that differ in mass, friction, springs, motors and encoders, "sensors": noise, a leaning IMU,
+    encoders that are off and a drifting heading, with electronics, or "command": how a policy follows forward and
+    lateral velocities and yaw rates."""
     long: bool = False
     """Whether what lasts 10 s is done for 60 s as well; those quantities end in _60s."""
     physics: str = "native"
     """The engine: "native", MuJoCo C, which every headline figure comes from, or "mjx"; both at 2 kHz."""
+    electronics: bool = False
+    """Whether robots sense what Cassie's encoders and filters show, with torques that speed limits and that are 3 ms
+    late."""
     out: str = "evaluation.json"
     """Result file."""
     overwrite: bool = False
@@ -53,7 +57,7 @@ def main(config: EvaluateConfig) -> None:
         began = time.perf_counter()
         with console.status(f"{suite}: walking up to speed") as status:
             progress = partial(_show, status, suite)
-            result = SUITES[suite](agent, EvalSetup(config.physics, config.long, progress))
+            result = SUITES[suite](agent, EvalSetup(config.physics, config.long, progress, config.electronics))
         seconds[suite] = round(time.perf_counter() - began, 1)
         found = [{"agent": agent.name, **metric._asdict()} for metric in result.metrics]
         console.print(table(f"{agent.name}: {suite}", found))

@@ -41,6 +41,9 @@ class RenderConfig(AgentConfig):
     steps:0.1 or rough:0.1 (m)."""
     delay: Annotated[float, Range(0, 1000)] = 0.0
     """Age of the state that policy and PD loop see, ms, in whole physics steps of 0.5 ms."""
+    electronics: bool = False
+    """Whether the robot senses what Cassie's encoders and filters show, with torques that speed limits and that are
+    3 ms late."""
     camera: str = "three-quarter"
     """"three-quarter", "side" or "front"; each follows the robot."""
     width: Annotated[int, Range(16, 4096)] = 960
@@ -79,7 +82,7 @@ def main(config: RenderConfig) -> None:
     agent, console = config.agent(), cli.console()
     with open_renderer(load_scene(config.trial.terrain.ground), config.width, config.height) as renderer:
         with console.status("walking"):
-            shots = list(film(agent, config.trial, config.phase, config.push_at, config.fps))
+            shots = list(film(agent, config.trial, config.phase, config.push_at, config.fps, config.electronics))
         drawn = track(shots, "drawing", console=console, transient=True)
         frames = draw_frames(renderer, drawn, config.camera, config.trial.terrain.ground)
         write_video(Path(config.out), frames, config.width, config.height, config.fps)

@@ -96,7 +96,7 @@ LATER |= {
 # What means nothing to robots of one speed, as all of those runs have.
 LATER |= {"walk.command_s": WalkConfig().command_s}
 LATER |= {"contacts": "full", "command": "speed", "walk.observation": "full", "walk.leash_m": None}
-LATER |= {"walk.dynamics": "none", "walk.orientation_scale": 1.0}
+LATER |= {"walk.dynamics": "none", "walk.electronics": False, "walk.orientation_scale": 1.0}
 LATER |= {f"walk.scenario.{name}": value for name, value in vars(ScenarioConfig()).items()}
 """How runs were trained whose configuration does not name these yet."""
 

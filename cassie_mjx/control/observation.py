@@ -130,7 +130,7 @@ class Observation:
         return namespace(*values).concatenate(values, axis=1)
 
 
-_SENSED = [*cassie.ACTUATORS[:5], *cassie.SPRUNG_NAMES[:2], *cassie.ACTUATORS[5:], *cassie.SPRUNG_NAMES[2:]]
+_JOINTS = [*cassie.ACTUATORS[:5], *cassie.SPRUNG_NAMES[:2], *cassie.ACTUATORS[5:], *cassie.SPRUNG_NAMES[2:]]
 
 
 def _state_term(half: str, name: str, unit: str, frame: str, source: str, addresses: np.ndarray) -> Term:
@@ -162,10 +162,34 @@ def _state_terms(half: str) -> tuple[Term, ...]:
         _orientation(_state_term(half, "pelvis orientation", "1", "w, x, y, z", "qpos", cassie.PELVIS_QUATERNION)),
         _state_term(half, "pelvis velocity", "m/s", "world", "qvel", cassie.PELVIS_VELOCITY),
         _state_term(half, "pelvis angular velocity", "rad/s", "pelvis frame", "qvel", cassie.PELVIS_ANGULAR_VELOCITY),
-        _state_term(half, "joint angles: " + ", ".join(_SENSED), "rad", "", "qpos", cassie.qpos_index(*_SENSED)),
-        _state_term(half, "joint velocities, same order", "rad/s", "", "qvel", cassie.qvel_index(*_SENSED)),
+        _state_term(half, "joint angles: " + ", ".join(_JOINTS), "rad", "", "qpos", cassie.qpos_index(*_JOINTS)),
+        _state_term(half, "joint velocities, same order", "rad/s", "", "qvel", cassie.qvel_index(*_JOINTS)),
     )
 
 
-OBSERVATIONS = {"full": Observation((*_state_terms("robot"), *_state_terms("reference")))}
-"""Lists of terms by name; "full" is the 80-D state of Xie et al. 2018."""
+NOISE = {"m": 0.02, "1": 0.01, "m/s": 0.1, "rad": 0.01, "rad/s": 0.2}
+"""Half-width of the noise on what is sensed or estimated, by its unit; 0.01 on a quaternion turns it by 0.02 rad.
+
+Joint angles and the gyro as in mjlab's training. Joint velocities have nearly the standard deviation of roadrunner's,
+0.1 rad/s."""
+
+HISTORY = 4
+"""Control steps of what is sensed that a policy sees, the present one included: 0.128 s."""
+
+_ROBOT, _REFERENCE = _state_terms("robot"), _state_terms("reference")
+_ESTIMATED = tuple(replace(term, noise=NOISE[term.unit]) for term in _ROBOT)
+# No sensor of the robot tells where its pelvis is, and how fast that moves.
+_SENSED = tuple(replace(term, history=HISTORY) for term in _ESTIMATED if term.unit not in ("m", "m/s"))
+_NO_PLACE = tuple(term for term in _REFERENCE if term.unit != "m")
+
+OBSERVATIONS = {
+    "full": Observation((*_ROBOT, *_REFERENCE)),
+    "estimated": Observation((*_ESTIMATED, *_REFERENCE)),
+    "sensors": Observation((*_SENSED, *_NO_PLACE)),
+}
+"""Lists of terms by name.
+
+"full" is the 80-D state of Xie et al. 2018, "estimated" the same with noise in training. "sensors" has what the robot's
+IMU and encoders tell and told in the last steps, with noise in training. Its reference has a velocity, which shows the
+command, and no place.
+"""

@@ -71,7 +71,7 @@ class CassieEnv(PipelineEnv):
         scene.opt.timestep = 1 / model.physics_hz
         super().__init__(mjcf.load_model(scene), backend="mjx", n_frames=steps_per_control(model.physics_hz))
         endless = replace(config or WalkConfig(), episode_steps=2**30)
-        physics = make_physics("mjx", model)
+        physics = make_physics("mjx", replace(model, electronics=endless.electronics))
         self._walk = WalkEnv(physics, motion, endless, robots=1)
 
     @property

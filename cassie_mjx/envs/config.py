@@ -63,7 +63,8 @@ class WalkConfig(Checked):
     kd_scale: Annotated[float, Range(0, 1)] = 1.0
     """Factor on the published D gains of the PD law; with less, robots bear to sense and act later."""
     observation: str = "full"
-    """What the policy observes: "full", the 80-D state of the paper, is the list of terms that we ship."""
+    """What the policy observes: "full", the 80-D state of the paper; "estimated", the same with noise; or "sensors",
+    what IMU and encoders told in the last four steps, with noise: neither place nor velocity of the pelvis."""
     symmetric: bool | None = None
     """Whether the policy learns one of the stride's two steps and sees and acts in the other as in a mirror; null: if
     the second step of the reference motion is the mirror image of its first."""
@@ -72,6 +73,9 @@ class WalkConfig(Checked):
     dynamics: str = "none"
     """How far robots differ from the model in mass, friction, damping, springs, motors, gains and encoders, and the
     ground from level: "none", "moderate" or "wide". Each episode draws all of it anew."""
+    electronics: bool = False
+    """Whether robots sense what Cassie's encoders and filters show, and their torques are limited by the motors' speed
+    and 3 ms late, or as late as `dynamics` has it. Below 2 kHz the filters see straight lines from step to step."""
 
     def __post_init__(self) -> None:
         """Check every value, and that no episode ends as it begins."""

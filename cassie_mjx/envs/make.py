@@ -39,7 +39,9 @@ def make_env(
         raise ValueError(f"command={command} is not known; choose one of {', '.join(COMMANDS)}.")
     walked = stretch(load_motion(motion), speed_factors(speed)[0])
     check_engine(physics)
-    model = replace(ENGINES[physics].training, physics_hz=physics_hz, scene=config.scene)
+    model = replace(
+        ENGINES[physics].training, physics_hz=physics_hz, scene=config.scene, electronics=config.electronics
+    )
     engine = make_physics(physics, model, config.delay_steps(physics_hz))
     return WalkEnv(engine, walked, config, robots, *command_range(walked, speed, command))
 

@@ -2,7 +2,10 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from cassie_mjx.control.law import canonicalize
+from cassie_mjx.control.observation import OBSERVATIONS, Seen
 from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
@@ -11,6 +14,8 @@ from cassie_mjx.robot.rotation import turned
 
 LEAD_M = 0.25
 """Unit of how far a robot is ahead: half of what ends an episode, so of the order of 1."""
+ERROR = {"m": 0.1, "1": 0.1, "m/s": 0.5, "rad": 0.2, "rad/s": 2.0}
+"""Units of how far a number of the state is from the reference's, by its own unit."""
 PUSH_N, DELAY_S, HEIGHT_M, SLOPE_RAD = 100.0, 0.01, 0.1, 0.2
 """Units of what disturbs a robot."""
 COM_M, OFFSET_RAD, TORQUE_DELAY_S = 0.05, 0.02, 0.005
@@ -20,6 +25,20 @@ COM_M, OFFSET_RAD, TORQUE_DELAY_S = 0.05, 0.02, 0.005
 def ahead(lead: Array) -> jax.Array:
     """How far robots are ahead of the reference motion, `lead` [B], m, as a critic sees it, [B, 1], within +-10."""
     return jnp.clip(jnp.asarray(lead, jnp.float32) / LEAD_M, -10, 10)[:, None]
+
+
+def errors(seen: Seen, mirrored: Array) -> jax.Array:
+    """How far the state is from the reference's, number by number of the full state, [B, 40], in `ERROR`, within +-10.
+
+    Args:
+      seen: the true state, and the reference ahead.
+      mirrored: whether the policy sees them in a mirror, [B, 1], bool.
+    """
+    full = OBSERVATIONS["full"]
+    state = canonicalize(full, full.update(full.init(seen), seen)[0], mirrored)
+    robot, reference = jnp.split(state, 2, axis=1)
+    units = np.concatenate([np.full(term.size, ERROR[term.unit]) for term in full.terms])[: robot.shape[1]]
+    return jnp.clip((robot - reference) / units, -10, 10).astype(jnp.float32)
 
 
 def disturbances(scenario: Scenario, step: Array, timestep: float, heading: Array, mirrored: Array) -> jax.Array:

@@ -69,7 +69,8 @@ class WalkState:
         mirror where the reference is in its second step, and so is the final one.
       final_observation: what the last step led to, before any reset, [B, O].
       privileged: what no robot senses but a critic may see, [B, P]: how far it is ahead of the reference motion, in
-        units of 0.25 m, within +-10, what disturbs it, if anything does, and what it is like, if robots differ.
+        units of 0.25 m, within +-10, how far its true state is from the reference's, where the policy does not observe
+        it, what disturbs it, if anything does, and what it is like, if robots differ.
       final_privileged: the same before any reset, [B, P].
       reward: of the last step, [B], 0 to 1.
       terminated: the last step ended the episode by one of `termination.Ends`, [B], bool.

@@ -14,7 +14,7 @@ import numpy as np
 from cassie_mjx.control import command as motions
 from cassie_mjx.control.command import MotionState
 from cassie_mjx.control.law import second_step, target
-from cassie_mjx.control.observation import Seen
+from cassie_mjx.control.observation import OBSERVATIONS, Seen
 from cassie_mjx.control.path import Path, into, out_of
 from cassie_mjx.envs import command, privileged, reward
 from cassie_mjx.envs.command import CommandRange
@@ -127,6 +127,11 @@ class WalkEnv:
         offset = StartOffset(np.zeros((robots, 2)), np.zeros((robots, 2))) if offset is None else offset
         start = self._start(jnp.asarray(time, jnp.int32), told, offset, scenario, key)
         physics = self.physics.init(start.qpos, start.qvel)
+        if self.config.electronics != (physics.electronics is not None):
+            raise ValueError(
+                f"electronics={self.config.electronics} is not what this engine was made for; make it with "
+                f"ModelConfig(electronics={self.config.electronics})."
+            )
         zeros, ended = jnp.zeros(robots), jnp.zeros(robots, bool)
         metrics = {name: zeros for name in (*reward.SCALES, *reward.Terms._fields, *Ends._fields)}
         return WalkState(
@@ -221,7 +226,8 @@ class WalkEnv:
         qpos, qvel = out_of(state.path, qpos, qvel)
         noise_key = None if key is None else jax.random.fold_in(key, _FRESH_NOISE_KEY)
         observation, sensing = self._observe(state, None, encoded(qpos, scenario.dynamics), qvel, noise_key)
-        return Start(qpos, qvel, state, observation, sensing, self._privileged(state, scenario, offset.position[:, 0]))
+        known = self._privileged(state, scenario, offset.position[:, 0], qpos, qvel)
+        return Start(qpos, qvel, state, observation, sensing, known)
 
     def _post_physics(
         self,
@@ -240,8 +246,8 @@ class WalkEnv:
         reference = motions.reference(self.motion, state)
         in_world = out_of(state.path, *reference)
         nan = ~(jnp.isfinite(qpos).all(axis=1) & jnp.isfinite(qvel).all(axis=1))
-        qpos, sensed_qpos, sensed_qvel = merge(
-            nan, (in_world[0], in_world[0], in_world[1]), (qpos, sensed_qpos, sensed_qvel)
+        qpos, qvel, sensed_qpos, sensed_qvel = merge(
+            nan, (*in_world, *in_world), (qpos, qvel, sensed_qpos, sensed_qvel)
         )
         walked = self._on_the_path(state.path, qpos, qvel, scenario.ground)
         rewards, terms = self._rewards(walked, reference[0], nan)
@@ -251,7 +257,7 @@ class WalkEnv:
         terminated = jnp.stack(causes).any(axis=0)
         truncated = ~terminated & self._is_last(state)
         ended = terminated | truncated
-        known = self._privileged(state, scenario, lead)
+        known = self._privileged(state, scenario, lead, qpos, qvel)
         state = self._leashed(state, lead, aside)
         scenario, push_level = self._renew(scenario, push_level, state, terminated, truncated, key)
         state = self._told(state, sensed_qvel, key)
@@ -346,19 +352,27 @@ class WalkEnv:
             return start
         return start._replace(motion=start.motion._replace(target_command=state.target_command))
 
-    def _privileged(self, state: MotionState, scenario: Scenario, lead: Array) -> jax.Array:
-        """What a critic sees of robots that are `lead` [B], m, ahead of the reference motion, [B, P].
+    def _privileged(
+        self, state: MotionState, scenario: Scenario, lead: Array, qpos: jax.Array, qvel: jax.Array
+    ) -> jax.Array:
+        """What a critic sees of robots at qpos [B, 35] and qvel [B, 32], `lead` [B], m, ahead of the motion, [B, P].
 
-        Where the task disturbs robots, it sees what disturbs them, and what they are like where robots differ, in a
+        Where the policy does not observe the true state, it sees how far that is from the reference. Where the task
+        disturbs robots, it sees what disturbs them, and what they are like where robots differ. All of it is in a
         mirror where the policy sees one.
         """
-        ahead = privileged.ahead(lead)
-        if not self.config.draws:
-            return ahead
-        mirrored = second_step(motions.reference(self.motion, state, ahead=1)[0]) & self.law.symmetric
-        step = state.step * self._substeps
-        seen = [ahead, privileged.disturbances(scenario, step, self._timestep, state.path.heading, mirrored)]
-        if scenario.dynamics is not None:
-            share = self.physics.model.body_mass / self.physics.model.body_mass.sum()
-            seen.append(privileged.dynamics(scenario.dynamics, share, self._timestep, mirrored))
+        seen = [privileged.ahead(lead)]
+        if self.law.observation is OBSERVATIONS["full"] and not self.config.draws:
+            return seen[0]
+        reference = motions.reference(self.motion, state, ahead=1)
+        mirrored = second_step(reference[0]) & self.law.symmetric
+        if self.law.observation is not OBSERVATIONS["full"]:
+            walked = self._on_the_path(state.path, qpos, qvel, scenario.ground)
+            seen.append(privileged.errors(Seen(walked, into(state.path, qpos, qvel)[1], *reference), mirrored))
+        if self.config.draws:
+            step = state.step * self._substeps
+            seen.append(privileged.disturbances(scenario, step, self._timestep, state.path.heading, mirrored))
+            if scenario.dynamics is not None:
+                share = self.physics.model.body_mass / self.physics.model.body_mass.sum()
+                seen.append(privileged.dynamics(scenario.dynamics, share, self._timestep, mirrored))
         return jnp.concatenate(seen, axis=1)

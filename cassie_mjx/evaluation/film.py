@@ -34,16 +34,25 @@ class Shot(NamedTuple):
     """Time of the first frame that showed a fallen robot; None as long as it is up."""
 
 
-def begin(agent: Agent, trial: Trial, phase: float) -> tuple[Physics, AgentState]:
+def begin(agent: Agent, trial: Trial, phase: float, electronics: bool = False) -> tuple[Physics, AgentState]:
     """The engine of a trial, and the one robot that starts it in steady walking at `phase` of its stride, 0 to 1."""
-    physics = make_physics("native", ModelConfig(), trial.delay, threads=1)
+    config = ModelConfig(electronics=electronics)
+    physics = make_physics("native", config, trial.delay, threads=1)
     robots = placed(agent, steady(agent, physics, np.array([phase])), [trial])
     if trial.terrain.level:
-        physics = make_physics("native", ModelConfig(scene=trial.terrain.ground.scene), trial.delay, threads=1)
+        config = replace(config, scene=trial.terrain.ground.scene)
+        physics = make_physics("native", config, trial.delay, threads=1)
     return physics, robots
 
 
-def film(agent: Agent, trial: Trial, phase: float = 0.0, push_at: float = 0.0, fps: float = 30.0) -> Iterator[Shot]:
+def film(
+    agent: Agent,
+    trial: Trial,
+    phase: float = 0.0,
+    push_at: float = 0.0,
+    fps: float = 30.0,
+    electronics: bool = False,
+) -> Iterator[Shot]:
     """Run a trial, and see it `fps` times a second from its start on, until it ends or a second after a fall.
 
     Args:
@@ -52,8 +61,9 @@ def film(agent: Agent, trial: Trial, phase: float = 0.0, push_at: float = 0.0, f
       phase: phase of the stride at the start, 0 to 1.
       push_at: time that the pushes count from, s, rounded up to the agent's next step; the heading is that of then.
       fps: 1/s.
+      electronics: whether encoders, filters and motors are the robot's (`robot.electronics`).
     """
-    physics, robots = begin(agent, replace(trial, start=0), phase)
+    physics, robots = begin(agent, replace(trial, start=0), phase, electronics)
     hertz, steps = 1 / physics.model.opt.timestep, act_steps(agent, physics)
     push_step = steps * math.ceil(push_at * hertz / steps - 1e-9)
     frames = [round(frame / fps * hertz) for frame in range(math.ceil(trial.seconds * fps - 1e-9))]

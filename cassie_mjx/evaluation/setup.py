@@ -43,16 +43,20 @@ class EvalSetup:
     """Whether what lasts 10 s is done for 60 s as well; those quantities end in _60s."""
     progress: Progress | None = None
     """Told how far it is."""
+    electronics: bool = False
+    """Whether encoders, filters and motors are the robot's (`robot.electronics`)."""
 
     def physics(self, scene: str = "flat", longest_delay_s: float = 0.0) -> Physics:
         """The engine, made for delays of up to `longest_delay_s`."""
-        config = replace(MJX_TESTING if self.engine == "mjx" else ModelConfig(), scene=scene)
+        config = MJX_TESTING if self.engine == "mjx" else ModelConfig()
+        config = replace(config, scene=scene, electronics=self.electronics)
         make = _shared_engine if self.engine == "mjx" else make_physics
         return make(self.engine, config, round(longest_delay_s * config.physics_hz))
 
     def starts(self, agent: Agent, phases: np.ndarray, longest_delay_s: float = 0.0) -> AgentState:
         """The agent in steady walking at `phases` [B] of its stride, brought there by MuJoCo C."""
-        return steady(agent, EvalSetup().physics(longest_delay_s=longest_delay_s), phases)
+        setup = EvalSetup(electronics=self.electronics)
+        return steady(agent, setup.physics(longest_delay_s=longest_delay_s), phases)
 
     @property
     def num_envs(self) -> int:

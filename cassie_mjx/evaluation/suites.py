@@ -16,6 +16,7 @@ from cassie_mjx.evaluation.dynamics import dynamics
 from cassie_mjx.evaluation.pushes import forces, push, push_map
 from cassie_mjx.evaluation.returns import agent_returns
 from cassie_mjx.evaluation.scheduler import LimitSearch, run, run_trials
+from cassie_mjx.evaluation.sensors import sensors
 from cassie_mjx.evaluation.setup import LIMIT_PHASES, LONG_WALK_S, WALK_PHASES, WALK_S, EvalSetup, SuiteResult
 from cassie_mjx.evaluation.trial import EpisodeResult, Metric, NeverSteady, Trial
 from cassie_mjx.physics.types import Physics
@@ -166,6 +167,7 @@ SUITES: dict[str, Suite] = {
     "forces": forces,
     "command": command,
     "dynamics": dynamics,
+    "sensors": sensors,
 }
 ALL = ("walk", "delay", "terrain", "push")
 """What suite=all means: the paper's experiments. The others take several minutes each."""

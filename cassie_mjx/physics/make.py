@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Physics
+from cassie_mjx.robot.electronics import torque_delay_steps
 from cassie_mjx.robot.model import MJX_TRAINING, NATIVE_TRAINING, ModelConfig, load_mjx_model, load_model
 
 
@@ -22,7 +23,7 @@ def make_physics(engine: str, config: ModelConfig, max_delay: int = 0, threads: 
 
     Args:
       engine: one of `ENGINES`.
-      config: scene, rate, contacts and solver.
+      config: scene, rate, contacts, solver, and whether there are electronics.
       max_delay: longest delay that a scenario will ask for, physics steps.
       threads: of MuJoCo C; 0 for all cores.
 
@@ -30,6 +31,8 @@ def make_physics(engine: str, config: ModelConfig, max_delay: int = 0, threads: 
       ValueError: there is no such engine, or its model cannot be compiled.
     """
     check_engine(engine)
+    if config.electronics:
+        max_delay = max(max_delay, torque_delay_steps(config.physics_hz))
     return ENGINES[engine].make(config, max_delay, threads)
 
 
@@ -40,14 +43,14 @@ def check_engine(engine: str) -> None:
 
 
 def _native(config: ModelConfig, max_delay: int, threads: int) -> Physics:
-    return NativePhysics(load_model(config), max_delay, threads)
+    return NativePhysics(load_model(config), max_delay, threads, config.electronics)
 
 
 def _mjx(config: ModelConfig, max_delay: int, threads: int) -> Physics:
     # Here, for whoever stays on MuJoCo C need not wait for it.
     from cassie_mjx.physics.mjx import MjxPhysics
 
-    return MjxPhysics(load_mjx_model(config), max_delay, config.scene)
+    return MjxPhysics(load_mjx_model(config), max_delay, config.scene, electronics=config.electronics)
 
 
 ENGINES = {

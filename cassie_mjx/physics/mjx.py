@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -16,13 +17,15 @@ from cassie_mjx.physics.types import (
     BodyState,
     PhysicsState,
     Scenario,
-    begin_history,
+    begin_memory,
     check_batch,
     check_delay,
     check_ground,
     check_start,
     late_torque,
     motor_torque,
+    remembered,
+    rhythm,
 )
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
@@ -40,7 +43,12 @@ class MjxPhysics:
     traceable = True
 
     def __init__(
-        self, model: mujoco.MjModel, max_delay: int = 0, scene: str = "rough", precision: str = "highest"
+        self,
+        model: mujoco.MjModel,
+        max_delay: int = 0,
+        scene: str = "rough",
+        precision: str = "highest",
+        electronics: bool = False,
     ) -> None:
         """Put the model on the device.
 
@@ -51,7 +59,12 @@ class MjxPhysics:
           scene: the ground that scenarios can have; with less, a step is shorter.
           precision: of matrix products, by the names of `jax.default_matmul_precision`. By default, accelerators
             round factors to 8 or 11 bits, which the loops' Jacobians do not bear.
+          electronics: whether encoders, filters and motors are the robot's; `max_delay` has room for their delay then.
+
+        Raises:
+          ValueError: the electronics have no whole number of cycles in a physics step.
         """
+        self._rhythm = rhythm(model, electronics)
         # By itself, MJX takes the first device of all, which may be another host's.
         self._device = jax.local_devices()[0]
         self.model, self._mjx = model, mjx.put_model(model, self._device)
@@ -69,8 +82,8 @@ class MjxPhysics:
         if not isinstance(qpos, jax.core.Tracer):
             check_start(qpos, qvel)
         qpos, qvel = jnp.asarray(qpos), jnp.asarray(qvel)
-        history = begin_history(qpos, qvel, self.max_delay)
-        return PhysicsState(qpos, qvel, jnp.zeros_like(qvel), jnp.zeros(len(qpos), jnp.int32), history)
+        history, memory = begin_memory(qpos, qvel, self.max_delay, self._rhythm)
+        return PhysicsState(qpos, qvel, jnp.zeros_like(qvel), jnp.zeros(len(qpos), jnp.int32), history, memory)
 
     def advance(self, state: PhysicsState, target: Array, scenario: Scenario, n_steps: int) -> PhysicsState:
         """See `Physics.advance`."""
@@ -92,10 +105,10 @@ class MjxPhysics:
 
         def substep(state: PhysicsState, _: None) -> tuple[PhysicsState, None]:
             asked = motor_torque(state, target, scenario).astype(dtype)
-            torque = late_torque(state, asked, scenario)
+            torque = late_torque(state, asked, scenario, self._rhythm.torque_delay)
             push, ground = scenario.force(state.step), scenario.ground
             moved = jax.vmap(self._step)(state.qpos, state.qvel, state.qacc_warmstart, torque, push, ground, changes)
-            return self._record(PhysicsState(*moved, state.step + 1, state.history), asked), None
+            return self._record(state, PhysicsState(*moved, state.step + 1, state.history), asked), None
 
         return jax.lax.scan(substep, state, None, length=n_steps)[0]
 
@@ -105,13 +118,13 @@ class MjxPhysics:
         m = self._mjx.replace(**changes)
         return changes | self._constraints.inverse_weights(m, mjx.make_data(self._mjx, self._device))
 
-    def _record(self, state: PhysicsState, asked: jax.Array) -> PhysicsState:
+    def _record(self, before: PhysicsState, state: PhysicsState, asked: jax.Array) -> PhysicsState:
         if not self.max_delay:
             return state
-        now = jnp.concatenate([state.qpos, state.qvel, asked], axis=1)
+        now, memory = remembered(before, state.qpos, state.qvel, asked, self._rhythm)
         slot = state.step % (self.max_delay + 1)
         history = state.history.at[jnp.arange(len(slot)), slot].set(now)
-        return PhysicsState(state.qpos, state.qvel, state.qacc_warmstart, state.step, history)
+        return replace(state, history=history, electronics=memory)
 
     def _step(
         self,

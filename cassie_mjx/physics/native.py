@@ -16,13 +16,15 @@ from cassie_mjx.physics.types import (
     BodyState,
     PhysicsState,
     Scenario,
-    begin_history,
+    begin_memory,
     check_batch,
     check_delay,
     check_ground,
     check_start,
     late_torque,
     motor_torque,
+    remembered,
+    rhythm,
 )
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
@@ -51,7 +53,7 @@ class NativePhysics:
 
     traceable = False
 
-    def __init__(self, model: mujoco.MjModel, max_delay: int = 0, threads: int = 0) -> None:
+    def __init__(self, model: mujoco.MjModel, max_delay: int = 0, threads: int = 0, electronics: bool = False) -> None:
         """Make the engine of one model.
 
         Args:
@@ -59,8 +61,13 @@ class NativePhysics:
             `Scenario.ground` that is not flat.
           max_delay: longest delay that a scenario will ask for, physics steps; 0 for the faster path.
           threads: size of the pool; 0 for all `cores`.
+          electronics: whether encoders, filters and motors are the robot's; `max_delay` has room for their delay then.
+
+        Raises:
+          ValueError: the electronics have no whole number of cycles in a physics step.
         """
         self.model = model
+        self._rhythm = rhythm(model, electronics)
         self.max_delay = max_delay
         self._threads = threads or cores()
         self._scene = scene_of(model)
@@ -73,8 +80,8 @@ class NativePhysics:
         """See `Physics.init`."""
         qpos, qvel = np.array(qpos, float), np.array(qvel, float)
         check_start(qpos, qvel)
-        history = begin_history(qpos, qvel, self.max_delay)
-        return PhysicsState(qpos, qvel, np.zeros_like(qvel), np.zeros(len(qpos), np.int32), history)
+        history, memory = begin_memory(qpos, qvel, self.max_delay, self._rhythm)
+        return PhysicsState(qpos, qvel, np.zeros_like(qvel), np.zeros(len(qpos), np.int32), history, memory)
 
     def advance(self, state: PhysicsState, target: Array, scenario: Scenario, n_steps: int) -> PhysicsState:
         """See `Physics.advance`."""
@@ -91,12 +98,13 @@ class NativePhysics:
         state = replace(state, history=state.history.copy())
         for _ in range(n_steps):
             torque = motor_torque(state, target, scenario)
-            pool.ctrl[:] = late_torque(state, torque, scenario) / cassie.GEAR
+            pool.ctrl[:] = late_torque(state, torque, scenario, self._rhythm.torque_delay) / cassie.GEAR
             pool.push[:] = scenario.force(state.step)
             pool.batch.step()
-            state = pool.state(state.step + 1, state.history)
-            rows = np.arange(len(state.step)), state.step % (self.max_delay + 1)
-            state.history[rows] = np.concatenate([state.qpos, state.qvel, torque], axis=1)
+            after = pool.state(state.step + 1, state.history)
+            row, memory = remembered(state, after.qpos, after.qvel, torque, self._rhythm)
+            state = replace(after, electronics=memory)
+            state.history[np.arange(len(row)), state.step % (self.max_delay + 1)] = row
         return state
 
     def bodies(self, state: PhysicsState) -> BodyState:

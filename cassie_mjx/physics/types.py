@@ -1,15 +1,16 @@
 """What both physics engines take and give: states, scenarios and body poses, batched over robots (axis B)."""
 
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import jax
 import mujoco
 import numpy as np
 
-from cassie_mjx.robot import cassie
+from cassie_mjx.robot import cassie, electronics
 from cassie_mjx.robot.arrays import Array, namespace
 from cassie_mjx.robot.dynamics import Dynamics, encoded
+from cassie_mjx.robot.electronics import Electronics, cycles_per_step, limited, torque_delay_steps
 from cassie_mjx.robot.ground import SCENES, Ground
 
 T = TypeVar("T")
@@ -27,6 +28,8 @@ class PhysicsState:
       step: physics steps since `init`, [B], int32.
       history: the last states, (qpos, qvel) side by side with the torque asked for in the step that led to them,
         [B, max_delay + 1, 77]; slot `step % (max_delay + 1)` is the present one. [B, 0, 77] on an engine without delay.
+        With electronics, states are as those show them.
+      electronics: what encoders and filters remember, [B]; None on an engine without electronics.
     """
 
     qpos: Array
@@ -34,6 +37,7 @@ class PhysicsState:
     qacc_warmstart: Array
     step: Array
     history: Array
+    electronics: Electronics | None = None
 
 
 @jax.tree_util.register_dataclass
@@ -160,7 +164,7 @@ def delayed(state: PhysicsState, scenario: Scenario) -> tuple[Array, Array]:
 
 
 def sensed(state: PhysicsState, scenario: Scenario) -> tuple[Array, Array]:
-    """State as sensed, (qpos [B, 35], qvel [B, 32]): as old as the delay has it, and as the encoders show it."""
+    """State as sensed, (qpos [B, 35], qvel [B, 32]): as old as the delay has it, as encoders and filters show it."""
     qpos, qvel = delayed(state, scenario)
     return encoded(qpos, scenario.dynamics), qvel
 
@@ -171,20 +175,26 @@ def motor_torque(state: PhysicsState, target: Array, scenario: Scenario) -> Arra
     q, qdot = qpos[:, cassie.ACTIVE_QPOS], qvel[:, cassie.ACTIVE_QVEL]
     kd_scale, dynamics = scenario.kd_scale[:, None], scenario.dynamics
     if dynamics is None:
-        return cassie.pd_torque(target, q, qdot, kd_scale)
+        return _given(state, cassie.pd_torque(target, q, qdot, kd_scale))
     strength, p_gain, d_gain = (x[:, None] for x in (dynamics.strength, dynamics.p_gain, dynamics.d_gain))
-    return strength * cassie.pd_torque(target, q, qdot, d_gain * kd_scale, p_gain)
+    return strength * _given(state, cassie.pd_torque(target, q, qdot, d_gain * kd_scale, p_gain))
 
 
-def late_torque(state: PhysicsState, torque: Array, scenario: Scenario) -> Array:
+def _given(state: PhysicsState, torque: Array) -> Array:
+    """What motors give of torques [B, 10], N·m: with electronics, less at speed."""
+    return torque if state.electronics is None else limited(torque, state.qvel[:, cassie.ACTIVE_QVEL])
+
+
+def late_torque(state: PhysicsState, torque: Array, scenario: Scenario, usual: int = 0) -> Array:
     """Torques that act in this physics step, [B, 10], N·m, where those of `torque` [B, 10] are asked for.
 
-    They are as old as the scenario's torque delay; until that time has passed since the start, none is late.
+    They are as old as the torque delay of the scenario's dynamics or, where robots do not differ, the `usual` one,
+    physics steps. Until that time has passed since the start, none is late.
     """
     slots, dynamics = state.history.shape[1], scenario.dynamics
-    if dynamics is None or slots == 0:
+    late = usual if dynamics is None else dynamics.torque_delay
+    if slots == 0 or (dynamics is None and not usual):
         return torque
-    late = dynamics.torque_delay
     old = state.history[np.arange(len(torque)), (state.step + 1 - late) % slots, -cassie.NU :]
     return namespace(torque).where(((late == 0) | (state.step < late))[:, None], torque, old)
 
@@ -194,6 +204,48 @@ def begin_history(qpos: Array, qvel: Array, max_delay: int) -> Array:
     xp = namespace(qpos)
     now = xp.concatenate([qpos, qvel, xp.zeros((len(qpos), cassie.NU), qpos.dtype)], axis=1)
     return xp.repeat(now[:, None], max_delay + 1 if max_delay else 0, axis=1)
+
+
+class Rhythm(NamedTuple):
+    """How the electronics of an engine go with its physics steps."""
+
+    cycles: int = 0
+    """Cycles in a physics step; 0 without electronics."""
+    torque_delay: int = 0
+    """How late torques are where robots do not differ, physics steps."""
+
+
+def rhythm(model: mujoco.MjModel, electronics: bool) -> Rhythm:
+    """That of an engine with this model. Raises ValueError if a physics step has no whole number of cycles."""
+    hertz = 1 / model.opt.timestep
+    return Rhythm(cycles_per_step(hertz), torque_delay_steps(hertz)) if electronics else Rhythm()
+
+
+def begin_memory(qpos: Array, qvel: Array, max_delay: int, rhythm: Rhythm) -> tuple[Array, Electronics | None]:
+    """History and electronics of robots that have always been in the state qpos [B, 35], qvel [B, 32]."""
+    if not rhythm.cycles:
+        return begin_history(qpos, qvel, max_delay), None
+    memory = electronics.init(qpos, qvel)
+    return begin_history(*electronics.shown(memory, qpos, qvel), max_delay), memory
+
+
+def remembered(
+    before: PhysicsState, qpos: Array, qvel: Array, torque: Array, rhythm: Rhythm
+) -> tuple[Array, Electronics | None]:
+    """What is remembered after a physics step: the row of the history, [B, 77], and the electronics.
+
+    Args:
+      before: the state that the step began in.
+      qpos: after it, [B, 35].
+      qvel: after it, [B, 32].
+      torque: asked for in it, [B, 10], N·m.
+      rhythm: of the engine.
+    """
+    memory = before.electronics
+    if memory is not None:
+        memory = electronics.update(memory, before.qpos, qpos, rhythm.cycles)
+        qpos, qvel = electronics.shown(memory, qpos, qvel)
+    return namespace(qpos).concatenate([qpos, qvel, torque], axis=1), memory
 
 
 def merge(chosen: Array, these: T, those: T) -> T:

@@ -13,6 +13,7 @@ import numpy as np
 from cassie_mjx.configuration.values import Checked, Range
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.dynamics import Dynamics
+from cassie_mjx.robot.electronics import cycles_per_step
 from cassie_mjx.robot.ground import SCENES
 from cassie_mjx.robot.mjcf import WALKING_PAIRS, differing, free_root, missing
 
@@ -40,11 +41,16 @@ class ModelConfig(Checked):
     """Iterations of the constraint solver (Newton): MuJoCo C stops earlier when converged, MJX does them all."""
     ls_iterations: Annotated[int, Range(1, 10_000)] = 50
     """Iterations of each line search in the solver: MuJoCo C stops earlier, MJX does them all."""
+    electronics: bool = False
+    """Whether engines show what the robot's encoders and filters show, and give what its motors give
+    (`robot.electronics`)."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for a value that names no model."""
         super().__post_init__()
         steps_per_control(self.physics_hz)
+        if self.electronics:
+            cycles_per_step(self.physics_hz)
 
 
 def steps_per_control(physics_hz: float) -> int:

@@ -25,6 +25,20 @@ def turned_orientation(quaternion: Array, angle: Array) -> Array:
     return xp.stack([cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w], axis=-1)
 
 
+def tilted(quaternion: Array, tilt: Array) -> Array:
+    """Orientations [..., 4] leaned by angles [..., 2], rad, about a horizontal axis (x, y) of their own frames."""
+    xp = namespace(quaternion, tilt)
+    # sin(a / 2) / a, which is 1/2 at 0
+    angle = xp.sqrt((tilt**2).sum(axis=-1))
+    cos, half = xp.cos(angle / 2), xp.sinc(angle / (2 * xp.pi)) / 2
+    b, c = half * tilt[..., 0], half * tilt[..., 1]
+    w, x, y, z = (quaternion[..., i] for i in range(4))
+    # q (cos, b, c, 0)
+    return xp.stack(
+        [cos * w - b * x - c * y, cos * x + b * w - c * z, cos * y + c * w + b * z, cos * z + c * x - b * y], axis=-1
+    )
+
+
 def up_in_body(quaternion: Array) -> Array:
     """The world's z in frames with these orientations [..., 4], [..., 3]: the last row of the rotation matrix."""
     w, x, y, z = (quaternion[..., i] for i in range(4))

@@ -95,7 +95,8 @@ class _WatchedPhysics:
         lost = np.flatnonzero(~np.isfinite(np.concatenate([after.qpos, after.qvel], axis=1)).all(axis=1))
         if len(lost) and self.divergence is None:
             given = asdict(state) | asdict(scenario) | {"target": target}
-            for part in ("ground", "dynamics"):
+            given["electronics"] = state.electronics and state.electronics._asdict()
+            for part in ("ground", "dynamics", "electronics"):
                 given |= {f"{part}_{name}": value for name, value in (given.pop(part) or {}).items()}
             self.divergence = {name: np.asarray(value)[lost[0]] for name, value in given.items()}
             self.divergence["n_steps"] = n_steps

@@ -102,7 +102,10 @@ class Trainer:
         update = partial(learner.update, config.ppo)
         solver = ENGINES[config.physics].training
         model_hz = config.physics_hz or solver.physics_hz
-        model = replace(solver, physics_hz=model_hz, scene=config.walk.scene, contacts=config.contacts)
+        walk = config.walk
+        model = replace(
+            solver, physics_hz=model_hz, scene=walk.scene, contacts=config.contacts, electronics=walk.electronics
+        )
         physics = make_physics(config.physics, model, config.walk.delay_steps(model_hz))
         commands = command_range(motion, config.speed, config.command)
         if physics.traceable:

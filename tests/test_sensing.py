@@ -1,0 +1,127 @@
+"""A policy that needs what Cassie senses alone: trained, resumed, saved, and run on NumPy and ONNX with its memory."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from tiny import TINY, session
+
+from cassie_mjx.agents.controller import Controller
+from cassie_mjx.agents.make import make_policy_agent
+from cassie_mjx.agents.numpy_policy import NumpyPolicy
+from cassie_mjx.agents.onnx_file import save_onnx
+from cassie_mjx.agents.policy_file import save_policy
+from cassie_mjx.agents.types import Sensed
+from cassie_mjx.control.law import ControlLaw
+from cassie_mjx.control.observation import OBSERVATIONS, Seen
+from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.motion.files import load_motion
+from cassie_mjx.motion.reference import sample
+from cassie_mjx.ppo import learner, normalizer
+from cassie_mjx.ppo.config import PPOConfig
+from cassie_mjx.robot import cassie
+from cassie_mjx.robot.model import xml_path
+
+SENSORS = OBSERVATIONS["sensors"]
+TASK = {"ppo": TINY, "walk": WalkConfig(observation="sensors", electronics=True)}
+
+
+def lived(steps):
+    """What robots go through near the reference, and with which reference ahead: qpos, qvel, qpos ahead, qvel ahead."""
+    motion, rng = load_motion("walk"), np.random.default_rng(0)
+    qpos, qvel = (np.array(states, float) for states in sample(motion, np.arange(steps)))
+    qpos += 0.1 * rng.normal(size=qpos.shape)
+    qvel += 0.5 * rng.normal(size=qvel.shape)
+    return qpos, qvel, *sample(motion, np.arange(steps) + 1)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    """A policy of random weights that moves its targets by some tenths of a rad."""
+    states = Seen(*lived(300))
+    observed = jnp.asarray(SENSORS.update(SENSORS.init(states), states)[0], jnp.float32)
+    policy = learner.init(jax.random.key(0), PPOConfig(actor_output_scale=0.3), SENSORS.size, cassie.NU, 1).policy
+    policy = policy._replace(normalizer=normalizer.update(policy.normalizer, observed))
+    path = tmp_path_factory.mktemp("policy") / "sensors.npz"
+    save_policy(path, policy, load_motion("walk"), 1.0, 1.0, {}, law=ControlLaw(SENSORS, symmetric=True))
+    return path
+
+
+def test_numpy_acts_as_jax_does_with_its_memory(path):
+    controller, agent = Controller.load(path), make_policy_agent(str(path))
+    qpos, qvel, *_ = lived(300)
+    carry, moved = agent.init(Sensed(qpos[:1], qvel[:1])), 0.0
+    for k in range(300):
+        expected, carry = agent.step(carry, Sensed(qpos[k : k + 1], qvel[k : k + 1]), None)
+        targets = controller(qpos[k], qvel[k])
+        np.testing.assert_allclose(targets, np.asarray(expected)[0], atol=1e-5)
+        moved = max(moved, np.abs(targets - lived(300)[2][k, cassie.ACTIVE_QPOS]).max())
+    assert moved > 0.1
+
+
+def test_its_targets_depend_on_what_it_saw_before(path):
+    qpos, qvel, *_ = lived(6)
+    targets = []
+    for first in (qpos[0], qpos[0] + 0.1):
+        controller = Controller.load(path)
+        controller(first, qvel[0])
+        targets.append([controller(qpos[k], qvel[k]) for k in range(1, 6)])
+    # The fourth step after it is the first that has forgotten it.
+    assert [np.abs(a - b).max() > 1e-6 for a, b in zip(*targets, strict=True)] == [True] * 3 + [False] * 2
+
+
+def test_neither_place_nor_velocity_of_the_pelvis_matters(path):
+    qpos, qvel, *_ = lived(20)
+    ours, theirs = Controller.load(path), Controller.load(path)
+    nowhere = np.where(np.arange(cassie.NQ) < 3, 0.0, qpos), np.where(np.arange(cassie.NV) < 3, 0.0, qvel)
+    for k in range(20):
+        command = (0.8, 0.2, 0.4)
+        np.testing.assert_array_equal(ours(qpos[k], qvel[k], command), theirs(nowhere[0][k], nowhere[1][k], command))
+
+
+def test_onnx_runtime_acts_as_numpy_does(path, tmp_path):
+    pytest.importorskip("onnx")
+    runtime = pytest.importorskip("onnxruntime")
+    policy = NumpyPolicy.load(path)
+    save_onnx(tmp_path / "sensors.onnx", policy, "sensors")
+    opened = runtime.InferenceSession(str(tmp_path / "sensors.onnx"))
+    observed, carry = [], None
+    for step in zip(*lived(300), strict=True):
+        seen = Seen(*(part[None] for part in step))
+        observation, carry = SENSORS.update(SENSORS.init(seen) if carry is None else carry, seen)
+        observed.append(observation[0])
+    given = np.array(observed, np.float32)
+    (action,) = opened.run(["action"], {"observation": given})
+    assert np.abs(action - policy(given)).max() < 1e-5
+    described = json.loads(opened.get_modelmeta().custom_metadata_map["observation"])
+    assert described[0] == "0:16 robot pelvis orientation (w, x, y, z), 4 control steps [1]"
+
+
+def test_a_run_resumes_exactly_and_its_policy_walks(tmp_path):
+    whole = session(tmp_path / "whole", **TASK)
+    whole.train()
+    halted = session(tmp_path / "halted", **TASK)
+    iterate = halted._iterate
+
+    def iterate_and_stop():
+        iterate()
+        raise KeyboardInterrupt
+
+    halted._iterate = iterate_and_stop
+    with pytest.raises(KeyboardInterrupt):
+        halted.train()
+    halted._save()
+    resumed = session(tmp_path / "halted", resume=True, **TASK)
+    assert resumed.done == 1
+    resumed.train()
+    for a, b in zip(jax.tree.leaves(whole.run), jax.tree.leaves(resumed.run), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert np.asarray(whole.run.env.sensing).shape == (TINY.num_robots, 3, 73)
+    model = mujoco.MjModel.from_xml_path(str(xml_path("flat")))
+    controller, data = Controller.load(tmp_path / "whole", model), mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = controller.initial_state(data.qpos, data.qvel)
+    targets = controller.step(0.0, data.qpos, data.qvel)
+    np.testing.assert_allclose(targets, controller.motion.qpos[1, cassie.ACTIVE_QPOS], atol=0.1)
