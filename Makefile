@@ -48,8 +48,7 @@ site: setup      ## the page in which anyone drives Cassie, in docs/drive/; need
 	for name in $(POLICIES); do $(RUN) -m cassie_mjx.export policy=$$name web=page/build || exit 1; done
 	node page/build.mjs page/build docs/drive
 
-docs: setup      ## the guide as a site, in site/, with the page where npm is installed
-	@if command -v npm > /dev/null; then $(MAKE) site; else echo "Without npm the page to drive Cassie in is left out."; fi
+docs: site       ## the guide as a site, in site/, and the page to drive Cassie in as a part of it
 	$(RUN) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(RUN) -m mkdocs build --quiet --strict
 

@@ -66,7 +66,7 @@ class ExportConfig(Checked):
     @property
     def name(self) -> str:
         """What the page calls the policy: its own name, or that of its run."""
-        source = self.source
+        source = self.source.resolve()
         return source.parent.name if _in_a_run(source) else source.stem
 
     @property

@@ -272,11 +272,12 @@ def test_the_page_has_a_policy_of_each_kind_of_place(tmp_path, capsys):
             ExportConfig(policy="1x", out=out, web=web)
 
 
-def test_a_term_that_the_page_cannot_compute_is_refused():
+def test_terms_that_the_page_cannot_compute_are_refused():
     first, *others = OBSERVATIONS["full"].terms
     squared = replace(first, compute=lambda seen: first.compute(seen) ** 2)
-    with pytest.raises(ValueError, match="this one observes more; teach `page/src/control/law.js` its terms"):
-        web_file.sources(ControlLaw(Observation((squared, *others))))
+    for observation in (Observation((squared, *others)), OBSERVATIONS["sensors"]):
+        with pytest.raises(ValueError, match="this one observes more; teach `page/src/control/law.js` its terms"):
+            web_file.sources(ControlLaw(observation))
 
 
 def test_the_guide_links_to_where_the_page_is_built():

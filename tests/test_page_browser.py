@@ -97,6 +97,13 @@ def choose(browser, name, value):
     browser.value(f"{chooser}.value = '{value}'; {chooser}.dispatchEvent(new Event('change'))")
 
 
+def open_policy(browser, file):
+    """Choose a file of one's own."""
+    root = browser.call("DOM.getDocument")["root"]["nodeId"]
+    node = browser.call("DOM.querySelector", nodeId=root, selector="#file")["nodeId"]
+    browser.call("DOM.setFileInputFiles", nodeId=node, files=[str(file)])
+
+
 def test_it_is_small_and_walks_from_a_file(built, opened):
     assert sum(file.stat().st_size for file in built.iterdir()) < LARGEST_MB * 1e6
     browser = opened((built / "index.html").as_uri())
@@ -123,13 +130,22 @@ def test_a_policy_of_another_version_gets_one_sentence(policies, tmp_path, serve
         (damaged, "This policy's file is damaged (the sizes of its network do not fit together); export it anew."),
         (Path(__file__), "This file is no policy for this page; export one with web=FOLDER."),
     ):
-        root = browser.call("DOM.getDocument")["root"]["nodeId"]
-        node = browser.call("DOM.querySelector", nodeId=root, selector="#file")["nodeId"]
-        browser.call("DOM.setFileInputFiles", nodeId=node, files=[str(file)])
+        open_policy(browser, file)
         until(lambda sentence=sentence: said(browser, "says") == sentence)
     before = seconds(browser)
     until(lambda: seconds(browser) > before)
     assert said(browser, "falls") == "0", "it walks on as before"
+
+
+def test_a_policy_of_ones_own_stays_on_another_ground_even_while_paused(policies, served, opened):
+    browser = opened(served)
+    until(lambda: seconds(browser) > 0.5)
+    open_policy(browser, policies / "1x.json")
+    until(lambda: (said(browser, "learned") or "").startswith("1x ") and seconds(browser) > 0.5)
+    choose(browser, "pace", "paused")
+    choose(browser, "ground", "hills")
+    until(lambda: said(browser, "time") == "0.0 s")
+    assert (said(browser, "learned") or "").startswith("1x ")
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,11 @@ def test_a_leaning_imu_by_hand():
     seen, _ = errors.misread(*upright())
     expected = [[np.cos(0.1), np.sin(0.1), 0, 0], [np.cos(0.05), 0, np.sin(0.05), 0]]
     np.testing.assert_allclose(seen[:, 3:7], expected, atol=1e-7)
+    # By 90 degrees about x, the IMU's -z is the pelvis' y; by 90 degrees about y, its z is the pelvis' x.
+    turning = upright()[0], np.zeros((2, cassie.NV))
+    turning[1][:, 3:6] = [[1.0, 2.0, 0.0], [1.0, 2.0, 0.0]]
+    _, seen_v = RIGHT._replace(tilt=np.pi / 2 * np.eye(2)).misread(*turning)
+    np.testing.assert_allclose(seen_v[:, 3:6], [[1, 0, -2], [0, 2, 1]], atol=1e-6)
     # A robot that looks to the left leans about its own axes: (c, 0, 0, s) (cos, 0, sin, 0) has x = -s sin.
     left = np.array([np.cos(np.pi / 4), 0, 0, np.sin(np.pi / 4)])
     leaned = tilted(left, np.array([0.0, 0.1]))

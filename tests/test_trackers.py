@@ -41,7 +41,7 @@ def test_what_is_logged_can_change_when_a_run_goes_on(tmp_path):
 
 
 def test_a_film_that_cannot_be_drawn_does_not_end_the_run(tmp_path, monkeypatch):
-    def fail(path, agent):
+    def fail(path, agent, electronics):
         raise ValueError("nothing can draw here")
 
     monkeypatch.setattr(runner, "film_policy", fail)

@@ -99,10 +99,10 @@ def sources(law: ControlLaw) -> np.ndarray:
 
 
 def _observed(law: ControlLaw, numbers: np.ndarray) -> np.ndarray:
-    """The observation [O] of one robot whose state and reference are these numbers, side by side."""
+    """The observation [O] of one robot whose state and reference are these numbers, side by side, and 0 before."""
     qpos, qvel, reference_qpos, reference_qvel = np.split(numbers[None].astype(float), np.cumsum(_SIZES)[:-1], axis=1)
     seen = Seen(qpos, qvel, reference_qpos, reference_qvel)
-    return law.observation.update(law.init(seen), seen)[0][0]
+    return law.observation.update(0 * law.init(seen), seen)[0][0]
 
 
 def _robot(joints: Sequence[str]) -> dict[str, Any]:

@@ -75,8 +75,8 @@ def toward(motion: ReferenceMotion, command: Command, target: Command, time: Arr
     """The command one control step later on its way to a target.
 
     Forward it gains 0.625 of the motion's speed a second, and brakes faster. A robot that steps on the spot comes to
-    stand in a step that begins as a foot lands, and walks only when it no longer stands. As long as something moves it
-    at more than `STEP_OUT_MPS` it steps on the spot, whatever it was told.
+    stand in a step that begins as a foot lands, and walks only when it no longer stands. A robot told to stand
+    steps on the spot as long as something moves it at more than `STEP_OUT_MPS`.
 
     Args:
       motion: what is walked.

@@ -33,8 +33,8 @@ class WalkConfig(Checked):
     orientation_scale: Annotated[float, Range(0, 1000)] = 1.0
     """Factor on the squared error of the pelvis' orientation, in the reward learned from alone.
 
-    With 1, as the rewards are measured, 0.2 rad off the path's heading cost a thousandth of the reward, and at 2.8 m/s
-    they are 0.6 m/s to the side."""
+    With 1, as the rewards are measured, a robot that looks 0.2 rad off the path's heading loses a thousandth of the
+    reward, and at 2.8 m/s it drifts to the side of that heading by 0.6 m/s."""
     min_reward: Annotated[float, Range(0, 0.999)] | None = 0.4
     """A step's reward below which an episode ends, a device of training; null for none."""
     max_position_error_m: Annotated[float, Range(0.001, 1000)] | None = 0.5
@@ -75,7 +75,8 @@ class WalkConfig(Checked):
     ground from level: "none", "moderate" or "wide". Each episode draws all of it anew."""
     electronics: bool = False
     """Whether robots sense what Cassie's encoders and filters show, and their torques are limited by the motors' speed
-    and 3 ms late, or as late as `dynamics` has it. Below 2 kHz the filters see straight lines from step to step."""
+    and 3 ms late (4 ms at 500 Hz), or as late as `dynamics` has it. Below 2 kHz the filters see straight lines from
+    step to step."""
 
     def __post_init__(self) -> None:
         """Check every value, and that no episode ends as it begins."""

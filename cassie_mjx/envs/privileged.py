@@ -80,6 +80,6 @@ def dynamics(of_robots: Dynamics, share: Array, timestep: float, mirrored: Array
     offset = jnp.where(mirrored, cassie.mirror_qpos(offset), offset)[:, cassie.ENCODER_QPOS]
     com = jnp.where(mirrored, d.com * jnp.array([1, -1, 1]), d.com)
     factors = [d.mass @ share, d.friction, d.damping, d.stiffness, d.strength, d.p_gain, d.d_gain]
-    late = d.torque_delay[:, None] * timestep / TORQUE_DELAY_S
+    late = jnp.maximum(d.torque_delay, 0)[:, None] * timestep / TORQUE_DELAY_S
     seen = [jnp.stack(factors, axis=1) - 1, com / COM_M, late, offset / OFFSET_RAD]
     return jnp.concatenate(seen, axis=1).astype(jnp.float32)

@@ -334,10 +334,11 @@ class WalkEnv:
 
     def _told(self, state: MotionState, qvel: jax.Array, key: jax.Array) -> MotionState:
         """The same moment, with the command on its way to a target that may be a new one; qvel [B, 32] is sensed."""
-        if self._command_s is None:
+        if self._command_s is None and self.commands.steering == STRAIGHT:
             return state
-        target_key = jax.random.fold_in(key, _COMMAND_KEY)
-        state = command.redraw_target(self.motion, state, target_key, self.commands, self._command_s)
+        if self._command_s is not None:
+            target_key = jax.random.fold_in(key, _COMMAND_KEY)
+            state = command.redraw_target(self.motion, state, target_key, self.commands, self._command_s)
         return motions.approach(self.motion, state, qvel)
 
     def _begin_anew(self, state: MotionState, scenario: Scenario, key: jax.Array) -> Start:

@@ -18,14 +18,14 @@ from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
 from cassie_mjx.robot.dynamics import Dynamics
-from cassie_mjx.robot.electronics import torque_delay_steps
-from cassie_mjx.robot.rotation import tilted, turned_orientation
+from cassie_mjx.robot.rotation import in_frame, tilted, turned_orientation
 
 ROBOTS = 40
 NOISE_FACTORS = (0, 1, 2, 4)
 TILTS_RAD, OFFSETS_RAD = (0.02, 0.05, 0.1), (0.01, 0.03)
 DRIFT_RADPS = float(np.deg2rad(1))
 
+_UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 # Half-widths of the noise on each number of qpos and qvel.
 _WIDTH_Q, _WIDTH_V = np.zeros(cassie.NQ), np.zeros(cassie.NV)
 _WIDTH_Q[cassie.PELVIS_POSITION], _WIDTH_V[cassie.PELVIS_VELOCITY] = NOISE["m"], NOISE["m/s"]
@@ -54,7 +54,11 @@ class SensorErrors(NamedTuple):
         return cls(zeros, np.zeros((robots, 2)), zeros, number, 0 * number)
 
     def misread(self, qpos: Array, qvel: Array) -> tuple[jax.Array, jax.Array]:
-        """What is sensed of qpos [B, 35] and qvel [B, 32] with these errors."""
+        """What is sensed of qpos [B, 35] and qvel [B, 32] with these errors.
+
+        An IMU that leans has its gyro lean as well. A drifting heading leaves place and velocity of the pelvis as they
+        are in the world; policies that observe those have them contradict it.
+        """
 
         def noise(seed: Array, step: Array) -> jax.Array:
             key = jax.random.fold_in(jax.random.fold_in(jax.random.key(0), seed), step)
@@ -65,7 +69,10 @@ class SensorErrors(NamedTuple):
         quaternion = turned_orientation(quaternion, self.drift * self.step * cassie.CONTROL_PERIOD_S)
         before, after = (qpos[:, : cassie.PELVIS_QUATERNION[0]], qpos[:, cassie.PELVIS_QUATERNION[-1] + 1 :])
         leaning = jnp.concatenate([before, quaternion, after], axis=1)
-        return leaning + off[:, : cassie.NQ] * _WIDTH_Q, qvel + off[:, cassie.NQ :] * _WIDTH_V
+        gyro = in_frame(tilted(_UPRIGHT, self.tilt), qvel[:, cassie.PELVIS_ANGULAR_VELOCITY])
+        first, *_, last = cassie.PELVIS_ANGULAR_VELOCITY
+        turning = jnp.concatenate([qvel[:, :first], gyro, qvel[:, last + 1 :]], axis=1)
+        return leaning + off[:, : cassie.NQ] * _WIDTH_Q, turning + off[:, cassie.NQ :] * _WIDTH_V
 
 
 class MisledCarry(NamedTuple):
@@ -141,15 +148,14 @@ def sensors(agent: Agent, setup: EvalSetup) -> SuiteResult:
     heading that drifts by 1 deg/s, for 60 s.
     """
     setup = replace(setup, electronics=True)
-    physics, starts, misled = setup.physics(), setup.starts(agent, LIMIT_PHASES), MisledAgent(agent)
-    late = torque_delay_steps(1 / physics.model.opt.timestep)
+    physics, misled, starts = setup.physics(), MisledAgent(agent), setup.starts(agent, LIMIT_PHASES)
     phase = np.arange(ROBOTS) % len(LIMIT_PHASES)
     metrics = []
     for quantity, (errors, offset, seconds) in cases().items():
         robots = AgentState(take(starts.physics, phase), MisledCarry(take(starts.carry, phase), errors))
         made = [None] * ROBOTS
         if offset.any():
-            made = [Dynamics.nominal(encoder_offset=each, torque_delay=np.int32(late)) for each in offset]
+            made = [Dynamics.nominal(encoder_offset=each) for each in offset]
         trials = [Trial(robot, seconds, dynamics=dynamics) for robot, dynamics in enumerate(made)]
         result = run_trials(misled, physics, robots, trials, setup.progress, setup.num_envs)
         metrics.append(Metric(quantity, float((~result.fell).mean()), "1", ROBOTS))

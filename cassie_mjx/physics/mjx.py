@@ -62,9 +62,9 @@ class MjxPhysics:
           electronics: whether encoders, filters and motors are the robot's; `max_delay` has room for their delay then.
 
         Raises:
-          ValueError: the electronics have no whole number of cycles in a physics step.
+          ValueError: the electronics have no whole number of cycles in a physics step, or `max_delay` no room for them.
         """
-        self._rhythm = rhythm(model, electronics)
+        self._rhythm = rhythm(model, electronics, max_delay)
         # By itself, MJX takes the first device of all, which may be another host's.
         self._device = jax.local_devices()[0]
         self.model, self._mjx = model, mjx.put_model(model, self._device)

@@ -64,10 +64,10 @@ class NativePhysics:
           electronics: whether encoders, filters and motors are the robot's; `max_delay` has room for their delay then.
 
         Raises:
-          ValueError: the electronics have no whole number of cycles in a physics step.
+          ValueError: the electronics have no whole number of cycles in a physics step, or `max_delay` no room for them.
         """
         self.model = model
-        self._rhythm = rhythm(model, electronics)
+        self._rhythm = rhythm(model, electronics, max_delay)
         self.max_delay = max_delay
         self._threads = threads or cores()
         self._scene = scene_of(model)

@@ -188,15 +188,16 @@ def _given(state: PhysicsState, torque: Array) -> Array:
 def late_torque(state: PhysicsState, torque: Array, scenario: Scenario, usual: int = 0) -> Array:
     """Torques that act in this physics step, [B, 10], N·m, where those of `torque` [B, 10] are asked for.
 
-    They are as old as the torque delay of the scenario's dynamics or, where robots do not differ, the `usual` one,
-    physics steps. Until that time has passed since the start, none is late.
+    They are as old as the torque delay of the scenario's dynamics or, where that has none, the `usual` one, physics
+    steps. Until that time has passed since the start, none is late.
     """
-    slots, dynamics = state.history.shape[1], scenario.dynamics
-    late = usual if dynamics is None else dynamics.torque_delay
+    slots, dynamics, xp = state.history.shape[1], scenario.dynamics, namespace(torque)
     if slots == 0 or (dynamics is None and not usual):
         return torque
+    drawn = np.int32(-1) if dynamics is None else dynamics.torque_delay
+    late = xp.where(drawn < 0, usual, drawn)
     old = state.history[np.arange(len(torque)), (state.step + 1 - late) % slots, -cassie.NU :]
-    return namespace(torque).where(((late == 0) | (state.step < late))[:, None], torque, old)
+    return xp.where(((late == 0) | (state.step < late))[:, None], torque, old)
 
 
 def begin_history(qpos: Array, qvel: Array, max_delay: int) -> Array:
@@ -215,10 +216,22 @@ class Rhythm(NamedTuple):
     """How late torques are where robots do not differ, physics steps."""
 
 
-def rhythm(model: mujoco.MjModel, electronics: bool) -> Rhythm:
-    """That of an engine with this model. Raises ValueError if a physics step has no whole number of cycles."""
+def rhythm(model: mujoco.MjModel, electronics: bool, max_delay: int) -> Rhythm:
+    """That of an engine with this model, made for delays of up to `max_delay` physics steps.
+
+    Raises:
+      ValueError: a physics step has no whole number of cycles, or torques are later than the engine is made for.
+    """
+    if not electronics:
+        return Rhythm()
     hertz = 1 / model.opt.timestep
-    return Rhythm(cycles_per_step(hertz), torque_delay_steps(hertz)) if electronics else Rhythm()
+    found = Rhythm(cycles_per_step(hertz), torque_delay_steps(hertz))
+    if found.torque_delay > max_delay:
+        raise ValueError(
+            f"max_delay={max_delay} has no room for the torque delay of the electronics; "
+            f"it must be {found.torque_delay} or more."
+        )
+    return found
 
 
 def begin_memory(qpos: Array, qvel: Array, max_delay: int, rhythm: Rhythm) -> tuple[Array, Electronics | None]:
@@ -306,7 +319,11 @@ def check_start(qpos: Array, qvel: Array) -> None:
 
 def check_delay(scenario: Scenario, max_delay: int) -> None:
     """Raise ValueError for a delay, of what is sensed or of torques, outside 0..max_delay physics steps."""
-    delays = [scenario.delay] if scenario.dynamics is None else [scenario.delay, scenario.dynamics.torque_delay]
+    delays = [scenario.delay]
+    if scenario.dynamics is not None:
+        late = scenario.dynamics.torque_delay
+        # -1 is as late as the engine has it.
+        delays.append(late + (late == -1))
     shortest, worst = (find([find(delay, initial=0) for delay in delays]) for find in (np.min, np.max))
     if shortest < 0:
         raise ValueError(f"A delay of {shortest} physics steps looks into the future; it must be at least 0.")

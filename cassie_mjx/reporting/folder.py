@@ -42,6 +42,7 @@ def by_agent(results: Sequence[Result]) -> dict[str, list[Result]]:
         for name in dict.fromkeys(row["agent"] for row in rows):
             own = [row for row in rows if row["agent"] == name]
             engine = " on MJX" if result.provenance.get("physics") == "mjx" else ""
+            engine += " with electronics" if result.provenance.get("electronics") else ""
             agents.setdefault(re.sub(r"-seed\d+$", "", name) + engine, []).append(
                 Result(result.name, result.content | {"rows": own})
             )

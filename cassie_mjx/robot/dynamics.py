@@ -31,7 +31,8 @@ class Dynamics:
       p_gain: on the P gains of the PD law.
       d_gain: on the D gains of the PD law, on top of `Scenario.kd_scale`.
       encoder_offset: by how much the encoders show too large an angle, [B, 14], rad, in the order `cassie.ENCODERS`.
-      torque_delay: how late the motors give the torque that the PD law asks of them, physics steps, int32.
+      torque_delay: how late the motors give the torque that the PD law asks of them, physics steps, int32; -1 for as
+        late as they are in the model, which is not at all without electronics.
     """
 
     mass: Array
@@ -60,7 +61,7 @@ class Dynamics:
             "mass": np.ones((*shape, len(cassie.BODIES))),
             "com": np.zeros((*shape, 3)),
             "encoder_offset": np.zeros((*shape, len(cassie.ENCODERS))),
-            "torque_delay": np.zeros(shape, np.int32),
+            "torque_delay": np.full(shape, -1, np.int32),
             **dict.fromkeys(names, ones),
         }
         return cls(**values | {name: np.broadcast_to(value, values[name].shape) for name, value in changes.items()})

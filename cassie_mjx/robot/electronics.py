@@ -23,6 +23,7 @@ NO_LOAD_RPM = np.tile([2900.0, 2900.0, 1300.0, 1300.0, 5500.0], 2)
 """Speeds of the motors at which they have no torque left, turns a minute."""
 
 _MOTOR_TAPS = np.array([2727, 534, -2658, -795, 72, 110, 19, -6, -3], np.int32)
+_FULL = 2**30
 _MOTOR_SCALE = 2 * np.pi / 2.0**MOTOR_BITS / cassie.GEAR
 _JOINT_SCALE = 2 * np.pi / 2.0**JOINT_BITS
 _NO_LOAD = NO_LOAD_RPM * 2 * np.pi / 60 / cassie.GEAR
@@ -109,8 +110,10 @@ def _cycle(memory: Electronics, qpos: Array) -> Electronics:
 
 
 def _counts(angles: Array) -> Array:
-    """What the motors' encoders count at joint angles [..., 10], rad: towards 0."""
-    return namespace(angles).trunc(angles / _MOTOR_SCALE).astype(np.int32)
+    """What the motors' encoders count at joint angles [..., 10], rad: towards 0, and 0 where physics has diverged."""
+    xp = namespace(angles)
+    turns = xp.where(xp.isfinite(angles), angles, 0.0) / _MOTOR_SCALE
+    return xp.trunc(turns).clip(-_FULL, _FULL).astype(np.int32)
 
 
 def _angles(angles: Array) -> Array:

@@ -39,6 +39,14 @@ def tilted(quaternion: Array, tilt: Array) -> Array:
     )
 
 
+def in_frame(quaternion: Array, vector: Array) -> Array:
+    """Vectors of the world, [..., 3], in frames with these orientations [..., 4]."""
+    xp, w, u = namespace(quaternion, vector), quaternion[..., :1], quaternion[..., 1:]
+    # R^T v = v + w t + t x u, with t = 2 v x u
+    t = 2 * xp.cross(vector, u)
+    return vector + w * t + xp.cross(t, u)
+
+
 def up_in_body(quaternion: Array) -> Array:
     """The world's z in frames with these orientations [..., 4], [..., 3]: the last row of the rotation matrix."""
     w, x, y, z = (quaternion[..., i] for i in range(4))

@@ -17,14 +17,19 @@ from cassie_mjx.robot.model import ModelConfig
 SECONDS, WIDTH, HEIGHT = 4.0, 320, 240
 
 
-def film_policy(path: Path, agent: PolicyAgent) -> None:
+def film_policy(path: Path, agent: PolicyAgent, electronics: bool) -> None:
     """Write a film, .gif or .mp4, of a policy that walks undisturbed in MuJoCo C at 2 kHz; also when it falls.
+
+    Args:
+      path: of the film.
+      agent: the policy.
+      electronics: whether encoders, filters and motors are the robot's (`robot.electronics`).
 
     Raises:
       ValueError: nothing can draw here.
       OSError: the film cannot be written.
     """
-    physics = make_physics("native", ModelConfig(), threads=1)
+    physics = make_physics("native", ModelConfig(electronics=electronics), threads=1)
     walk = walk_on(agent, physics, begin(agent, physics, *agent.initial_state(1)))
     robots = islice(walk, round(SECONDS / CONTROL_PERIOD_S))
     shots = [Shot(k * CONTROL_PERIOD_S, each.physics.qpos[0], np.zeros(3), None) for k, each in enumerate(robots)]

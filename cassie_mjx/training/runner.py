@@ -68,7 +68,7 @@ class Runner:
         self.notes += unlike(config, init, self.motion, self.law) if init else []
         self.terminal = Terminal(console, config.ppo.iterations, self.done)
         self.sinks = Sinks(self.folder, config, self.samples, self.terminal.say) if devices.is_first() else None
-        self.eval_engine = make_physics("native", ModelConfig())
+        self.eval_engine = make_physics("native", ModelConfig(electronics=config.walk.electronics))
         self.policy_step = jax.jit(partial(policy_step, self.law, self.trainer.env.motion))
         self.clipping_told = False
         self.diagnosed = bool(max(devices.exchange((self.folder / "nan").exists())))
@@ -228,7 +228,7 @@ class Runner:
         path = self.folder / "films" / f"{self.done:06}.gif"
         try:
             path.parent.mkdir(exist_ok=True)
-            film_policy(path, self._agent(policy))
+            film_policy(path, self._agent(policy), self.config.walk.electronics)
         except (ValueError, OSError) as error:
             self.terminal.say(f"There is no film of iteration {self.done}: {error}")
             return

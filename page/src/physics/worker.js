@@ -21,8 +21,12 @@ const answers = {
     Object.assign(simulation, {delaySteps, falls: old ? old.falls : 0});
     old?.delete();
     tell({kind: "began", shapes: shapesOf(simulation.model), terrain, figures: figuresOf(policy)});
+    tell(stateOf(simulation, performance.now()));
   },
-  restart() { simulation.restart(); },
+  restart() {
+    simulation.restart();
+    tell(stateOf(simulation, performance.now()));
+  },
   target({command}) { simulation.target = command; },
   push({newtons, direction}) { simulation.push(newtons, direction); },
   drag({pull}) { simulation.dragging = pull; },
@@ -61,7 +65,7 @@ function tick() {
 
 function stateOf({data, steps, carry, target, track, fallen, falls}, now) {
   const [simulated, busy] = [1, 2].map((part) => lately.reduce((sum, each) => sum + each[part], 0));
-  const [first, ofFirst] = lately[0], passed = pace * (now - first);
+  const [first, ofFirst] = lately[0] ?? [now, 0], passed = pace * (now - first);
   return {
     kind: "state",
     seconds: steps / HERTZ,
@@ -73,7 +77,7 @@ function stateOf({data, steps, carry, target, track, fallen, falls}, now) {
     fallen,
     falls,
     realTime: passed > 0 ? (simulated - ofFirst) / passed : 1,
-    couldBe: simulated / busy,
+    couldBe: busy > 0 ? simulated / busy : 1,
   };
 }
 

@@ -33,7 +33,7 @@ const PACES = {"real time": 1, "half as fast": 0.5, "a quarter": 0.25, "a tenth"
 const at = (id) => document.getElementById(id);
 
 export class Controls {
-  // `actions` has move, steer, stop, stand, restart, push, choose, open, delay, pace.
+  // `actions` has move, steer, stop, stand, restart, push, choose, open, ground, delay, pace.
   constructor(actions, policies) {
     this.actions = actions;
     at("moves").append(...PADS.map((label) => button(label, label, () => this.#press(label))));
@@ -67,17 +67,20 @@ export class Controls {
   }
 
   #choosers(policies) {
-    const {choose, open, delay, pace} = this.actions;
-    options(at("policy"), policies, choose);
+    const {choose, open, ground, delay, pace} = this.actions;
+    options(at("policy"), policies, () => {
+      at("file").value = "";
+      choose(at("policy").value);
+    });
     at("file").addEventListener("change", async () => {
       const [file] = at("file").files;
       if (file) open(await file.text());
     });
     at("level").addEventListener("input", () => put(at("level"), at("level").value));
-    at("level").addEventListener("change", choose);
+    at("level").addEventListener("change", ground);
     options(at("ground"), Object.keys(GROUNDS), () => {
       this.#showLevel();
-      choose();
+      ground();
     });
     this.#showLevel();
     options(at("delay"), DELAYS_MS.map((ms) => `${ms} ms`), () => delay(parseFloat(at("delay").value) / 1000));

@@ -22,8 +22,7 @@ class Page {
     this.controls = new Controls(this.#actions(), this.names.map((name) => name.replace(/\.json$/, "")));
     this.plots = new Plots(at("plots"));
     this.scene = new Scene(at("picture"), (pull) => this.#tell("drag", {pull}));
-    this.delaySteps = 0;
-    this.pictures = [];
+    Object.assign(this, {policy: policies[this.names[0]], delaySteps: 0, pace: 1, pictures: []});
     const fit = () => this.scene.resize(at("picture").clientWidth, at("picture").clientHeight);
     new ResizeObserver(fit).observe(at("picture"));
     requestAnimationFrame(() => this.#draw());
@@ -31,7 +30,9 @@ class Page {
 
   // MuJoCo is there.
   ready() {
-    this.#begin(policies[this.names[0]]);
+    this.#begin(this.policy);
+    this.#tell("pace", {factor: this.pace});
+    this.#tell("delay", {delaySteps: this.delaySteps});
   }
 
   // A robot is there.
@@ -69,17 +70,22 @@ class Page {
       stand: walking(() => stopped(stopped(this.target))),
       restart: () => this.#tell("restart"),
       push: (newtons, direction) => this.#tell("push", {newtons, direction}),
-      choose: () => this.#begin(policies[`${at("policy").value}.json`]),
+      choose: (name) => this.#begin(policies[`${name}.json`]),
       open: (text) => this.#begin(text),
+      ground: () => this.#begin(this.policy),
       delay: (seconds) => {
         this.delaySteps = Math.round(seconds * HERTZ);
         this.#tell("delay", {delaySteps: this.delaySteps});
       },
-      pace: (factor) => this.#tell("pace", {factor}),
+      pace: (factor) => {
+        this.pace = factor;
+        this.#tell("pace", {factor});
+      },
     };
   }
 
   #begin(policy) {
+    this.policy = policy;
     this.#tell("begin", {policy, terrain: this.controls.terrain, delaySteps: this.delaySteps});
   }
 

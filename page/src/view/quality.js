@@ -13,6 +13,8 @@ export class Quality {
   // Whether it is time for a picture.
   due(now) {
     const due = now - this.last >= 1000 / LEVELS[this.level][2] - 1;
+    // Nobody looked: there were no pictures for another reason.
+    if (now - this.last > 1000) this.since = now;
     if (due) this.last = now;
     return due;
   }
