@@ -1,5 +1,7 @@
 """Standing: the reference, the way to it and back, and robots of the task."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 from cassie_mjx.control import command as motions
 from cassie_mjx.control.command import MotionState, onward, toward
 from cassie_mjx.control.path import Path, into, stay_beside
+from cassie_mjx.envs import command
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.make import make_env
 from cassie_mjx.evaluation.standing import soles_of
@@ -117,6 +120,28 @@ def test_a_standing_robot_pushed_aside_takes_its_path_along(motion):
     beside = stay_beside(Path(zeros, zeros, zeros), told(*STAND), now, qpos, qvel)
     np.testing.assert_allclose(into(beside, qpos, qvel)[0][:, 1], 0.3)
     np.testing.assert_array_equal(stay_beside(Path(zeros, zeros, zeros), told(0.7, 0, 0, 0), now, qpos, qvel), 0)
+
+
+def test_robots_told_to_stand_are_paid_for_standing_once_they_step_on_the_spot(motion):
+    """Told to walk, braking, stepping on the spot, half way, on the way from standing to walking."""
+    forward, stand = np.array([0.7, 0.7, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 0.5, 0.5])
+    target = np.array([0.0, 1.0, 1.0, 1.0, 0.0])
+    zeros = np.zeros(5)
+    now, goal = Command(forward, zeros, zeros, stand), Command(zeros, zeros, zeros, target)
+    state = MotionState(np.full(5, 5), np.full(5, 5), now, goal, zeros, Path(zeros, zeros, zeros))
+    paid = command.paid(state)
+    np.testing.assert_array_equal(paid.stand, [0, 0, 1, 1, 0.5])
+    np.testing.assert_array_equal(paid.forward, forward)
+    env = make_env(robots=1, physics_hz=500, config=WalkConfig(min_reward=None), command="joystick")
+    stands, steps = (
+        env.reset_at(np.array([5], np.int32), Scenario.nominal(1), jax.tree.map(jnp.float32, told(0.0, 0.0, 0.0, 0.0)))
+        for _ in range(2)
+    )
+    to_stand = jax.tree.map(jnp.float32, told(*STAND))
+    stands = replace(stands, motion=stands.motion._replace(target_command=to_stand))
+    ends = [env.step(state, np.zeros((1, 10)), jax.random.key(0)) for state in (stands, steps)]
+    np.testing.assert_array_equal(ends[0].physics.qpos, ends[1].physics.qpos)
+    assert ends[0].reward[0] < ends[1].reward[0] - 0.1, "in mid-step it is near to the steps, not to the pose"
 
 
 def test_robots_of_the_task_stand_from_the_first_moment_and_their_clock_rests():

@@ -118,6 +118,16 @@ def steered(forward: Array, steering: Steering, lateral: Array, yaw_rate: Array)
     return Command(forward, steering.lateral * share * lateral, steering.yaw_rate * share * yaw_rate, 0 * forward)
 
 
+def paid(state: MotionState) -> Command:
+    """The commands that robots are paid for: as told, but to stand, for those that step on the spot on the way there.
+
+    A robot that was paid for its steps learned to sway so much that it never had to stand.
+    """
+    now = state.command
+    still = (now.forward == 0) & (now.lateral == 0) & (now.yaw_rate == 0)
+    return now._replace(stand=jnp.where(still & (state.target_command.stand > 0), 1.0, now.stand))
+
+
 def redraw_target(
     motion: ReferenceMotion, state: MotionState, key: jax.Array, commands: CommandRange, mean_s: float
 ) -> MotionState:

@@ -250,7 +250,7 @@ class WalkEnv:
             nan, (*in_world, *in_world), (qpos, qvel, sensed_qpos, sensed_qvel)
         )
         walked = self._on_the_path(state.path, qpos, qvel, scenario.ground)
-        rewards, terms = self._rewards(walked, reference[0], nan)
+        rewards, terms = self._rewards(walked, self._paid(state, reference[0]), nan)
         earned = jnp.where(nan, 0.0, reward.total(terms))
         lead, aside = ((walked - reference[0])[:, axis] for axis in (cassie.PELVIS_X, cassie.PELVIS_Y))
         causes = self._ends(nan, walked[:, cassie.PELVIS_Z], earned, lead, aside)
@@ -285,6 +285,12 @@ class WalkEnv:
         """World states' qpos [B, 35] in the path's frame and as on flat ground, where the reference walks."""
         height = height_below(ground, qpos[:, cassie.PELVIS_X], qpos[:, cassie.PELVIS_Y])
         return into(path, qpos, qvel)[0].at[:, cassie.PELVIS_Z].add(-height)
+
+    def _paid(self, state: MotionState, reference: jax.Array) -> jax.Array:
+        """The reference, qpos [B, 35], that robots are paid for being near to."""
+        if self.commands.steering == STRAIGHT:
+            return reference
+        return motions.reference(self.motion, state._replace(command=command.paid(state)))[0]
 
     def _rewards(
         self, walked: jax.Array, reference: jax.Array, nan: jax.Array
