@@ -193,11 +193,11 @@ def test_points_that_do_as_they_are_told_have_no_errors(agent, monkeypatch):
     found = values(result)
     errors = [found.pop(f"command_error_{name}") for name in driving.COMPONENTS]
     assert max(errors) < 1e-4
-    # 2.5 m/s² from 2 m/s to 0, and 0.625 of 0.71 m/s a second, 6.3 s, from 0 to 2.8 m/s; the mean over a stride of
-    # 0.704 s is within 0.1 m/s of that some 0.14 s later, or 0.47 s as it brakes. 0.8 rad/s is there after 0.5 s.
+    # 1.5 m/s² from 2 m/s to 0, and 0.625 of 0.71 m/s a second, 6.3 s, from 0 to 2.8 m/s; the mean over a stride of
+    # 0.704 s is within 0.1 m/s of that some 0.14 s later, or 0.4 s as it brakes. 0.8 rad/s is there after 0.5 s.
     pace = 0.625 * float(agent.motion.stride_length) / (22 * DT)
-    late = {rate: 0.704 - np.sqrt(2 * 0.704 * 0.1 / rate) for rate in (2.5, pace)}
-    assert found.pop("stop_s") == pytest.approx(2 / 2.5 + late[2.5], abs=DT)
+    late = {rate: 0.704 - np.sqrt(2 * 0.704 * 0.1 / rate) for rate in (1.5, pace)}
+    assert found.pop("stop_s") == pytest.approx(2 / 1.5 + late[1.5], abs=DT)
     assert found.pop("sprint_s") == pytest.approx(2.8 / pace + late[pace], abs=DT)
     assert found.pop("stand_foot_slip_m") < 1e-6
     assert found.pop("stand_torque_share") == pytest.approx(0.75)

@@ -63,7 +63,7 @@ def test_strides_begin_with_both_feet_down(motion):
 
 
 def test_a_robot_stands_once_it_steps_on_the_spot_and_a_foot_has_landed(motion):
-    """From 0.5 m/s at sample 3: at rest after 7 steps, in sample 10; in the step that follows it comes to stand."""
+    """From 0.5 m/s at sample 3: at rest after 11 steps, in sample 14; in the step that follows it comes to stand."""
     command, time, stands, forward, times = told(0.5, 0.0, 0.2, 0.0), np.array([3]), [], [], []
     for _ in range(60):
         times.append(int(time[0]))
@@ -71,12 +71,12 @@ def test_a_robot_stands_once_it_steps_on_the_spot_and_a_foot_has_landed(motion):
         stands.append(float(np.asarray(command.stand)[0]))
         forward.append(float(command.forward[0]))
         time = onward(motion, time, command)
-    assert forward.index(0) == 6, "0.5 m/s at 2.5 m/s² takes 6.25 control steps"
-    assert times[stands.index(0.1)] == 11, "a foot lands"
-    np.testing.assert_allclose(stands[8:18], np.arange(1, 11) / 10)
-    assert set(stands[18:]) == {1.0}
-    assert times[8:20] == list(range(11, 23))
-    assert set(times[19:]) == {22}, "the clock rests as the other foot lands"
+    assert forward.index(0) == 10, "0.5 m/s at 1.5 m/s² takes 10.4 control steps"
+    assert times[stands.index(0.1)] == 22, "a foot lands"
+    np.testing.assert_allclose(stands[19:29], np.arange(1, 11) / 10)
+    assert set(stands[29:]) == {1.0}
+    assert times[19:31] == list(range(22, 34))
+    assert set(times[30:]) == {33}, "the clock rests as the other foot lands"
     backwards = []
     for _ in range(12):
         command = toward(motion, command, told(-0.5, 0.0, 0.0, 0.0), time, AT_REST)
@@ -85,7 +85,7 @@ def test_a_robot_stands_once_it_steps_on_the_spot_and_a_foot_has_landed(motion):
     np.testing.assert_allclose([stand for stand, _ in backwards], [*np.arange(9, -1, -1) / 10, 0, 0], atol=1e-9)
     assert [speed for _, speed in backwards[:9]] == [0] * 9, "it walks only when it no longer stands"
     assert backwards[-1][1] < 0
-    assert time == 22 + len(backwards), "the clock goes on at once"
+    assert time == 33 + len(backwards), "the clock goes on at once"
 
 
 def test_a_standing_robot_steps_while_something_moves_it(motion):

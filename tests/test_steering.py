@@ -207,9 +207,9 @@ def test_commands_change_at_a_limited_pace_and_the_reference_does_not_jump(motio
         told = np.array(state.command)[:, 0]
         np.testing.assert_allclose(told, [0.7 + k * steps[0], -k * steps[1], min(0.8, k * steps[2]), 0], atol=1e-9)
         state = motions.tick(motion, state)
-    # It brakes at 2.5 m/s²; the way to a higher speed backwards is none of braking.
+    # It brakes at 1.5 m/s²; the way to a higher speed backwards is none of braking.
     now = state.command.forward
-    for target, expected in ((0.1, now - 2.5 * DT), (-2.0, now - steps[0])):
+    for target, expected in ((0.1, now - 1.5 * DT), (-2.0, now - steps[0])):
         told = Command(*np.array([[target], [0.0], [0.0], [0.0]]))
         later = motions.toward(motion, state.command, told, state.time, np.zeros((1, 32)))
         np.testing.assert_allclose(later.forward, expected)

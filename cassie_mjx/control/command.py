@@ -9,7 +9,7 @@ from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array, namespace
 from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X
 
-BRAKING, LATERAL_PACE, YAW_PACE = 2.5, 0.4, 1.6
+BRAKING, LATERAL_PACE, YAW_PACE = 1.5, 0.4, 1.6
 """Paces at which a walk is slowed down, m/s², brought to another lateral velocity, m/s², and to another yaw rate,
 rad/s²."""
 STAND_S = 0.32
