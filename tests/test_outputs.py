@@ -175,11 +175,20 @@ def test_a_page_of_somebody_elses_is_not_replaced(tmp_path):
         cli.check_output(str(out), page.REPORT, overwrite=False)
 
 
+def assert_same(one, other):
+    """Two policies hold the same; their bytes depend on the version of Python that wrote them."""
+    ours, theirs = (archive.read(path, FORMAT) for path in (one, other))
+    assert ours.provenance == theirs.provenance
+    assert ours.arrays.keys() == theirs.arrays.keys()
+    for name, array in ours.arrays.items():
+        np.testing.assert_array_equal(array, theirs.arrays[name])
+
+
 def test_a_policy_goes_where_no_other_file_is_lost(tmp_path, capsys):
     source, out = shipped_policies()["1x"], tmp_path / "a.npz"
     for _ in range(2):
         export.main(ExportConfig(run=str(source), out=str(out)))
-        assert out.read_bytes() == source.read_bytes()
+        assert_same(out, source)
     with pytest.raises(ValueError, match=r"out=notes\.md is no policy's file; name one that ends in \.npz or \.onnx"):
         ExportConfig(run=str(source), out="notes.md")
     (tmp_path / "config.json").write_text("{}")
@@ -200,7 +209,7 @@ def test_export_gives_an_old_policy_its_digest(tmp_path):
     with pytest.warns(UserWarning, match=r"old\.npz is of version 1 .*cassie_mjx.export run=.*old\.npz out="):
         export.main(ExportConfig(run=str(old), out=str(new)))
     assert archive.read(new, FORMAT).has_digest
-    assert new.read_bytes() == shipped_policies()["1x"].read_bytes()
+    assert_same(new, shipped_policies()["1x"])
 
 
 WAITING = """
