@@ -86,7 +86,7 @@ def toward(motion: ReferenceMotion, command: Command, target: Command, time: Arr
       qvel: as sensed, [B, 32].
     """
     xp = namespace(command.forward, qvel)
-    still = (command.forward == 0) & (command.lateral == 0) & (command.yaw_rate == 0) & _feet_down(motion, time)
+    still = command.on_the_spot & _feet_down(motion, time)
     calm = xp.square(qvel[:, cassie.HORIZONTAL_VELOCITY]).sum(axis=-1) < STEP_OUT_MPS**2
     wanted = target.stand * (calm & (still | (command.stand > 0)))
     stand = command.stand + xp.clip(wanted - command.stand, -CONTROL_PERIOD_S / STAND_S, CONTROL_PERIOD_S / STAND_S)

@@ -124,8 +124,8 @@ def paid(state: MotionState) -> Command:
     A robot that was paid for its steps learned to sway so much that it never had to stand.
     """
     now = state.command
-    still = (now.forward == 0) & (now.lateral == 0) & (now.yaw_rate == 0)
-    return now._replace(stand=jnp.where(still & (state.target_command.stand > 0), 1.0, now.stand))
+    coming = now.on_the_spot & (state.target_command.stand > 0)
+    return now._replace(stand=jnp.where(coming, 1.0, now.stand))
 
 
 def redraw_target(

@@ -28,6 +28,11 @@ class Command(NamedTuple):
         return cls(forward, nothing, nothing, nothing)
 
     @property
+    def on_the_spot(self) -> Array:
+        """Whether all velocities are 0, [B], bool."""
+        return (self.forward == 0) & (self.lateral == 0) & (self.yaw_rate == 0)
+
+    @property
     def steers(self) -> Array:
         """Whether the path lies where the robot is, for it turns, moves sideways or stands, [B], bool."""
         return (self.lateral != 0) | (self.yaw_rate != 0) | (self.stand != 0)
