@@ -8,6 +8,7 @@ import numpy as np
 
 from cassie_mjx.agents import blending
 from cassie_mjx.agents.blending import SCHEDULES, Progress
+from cassie_mjx.agents.delegating import Delegating
 from cassie_mjx.agents.policy import PolicyAgent
 from cassie_mjx.agents.types import Sensed
 from cassie_mjx.control.observation import Seen
@@ -16,15 +17,12 @@ from cassie_mjx.motion.command import Command
 from cassie_mjx.motion.reference import mean_speed, sample
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
-from cassie_mjx.robot.cassie import CONTROL_PERIOD_S
 
 BLEND_PREFIX = "blend:"
 
 
-class BlendAgent:
+class BlendAgent(Delegating[PolicyAgent]):
     """A chain of policies, blended as a schedule says, as an `Agent`; it starts in the first policy's walk."""
-
-    period_s, needs_bodies, motion = CONTROL_PERIOD_S, False, None
 
     def __init__(self, policies: Sequence[PolicyAgent], schedule: str) -> None:
         """Take policies and the name of one of `SCHEDULES`.
@@ -34,10 +32,10 @@ class BlendAgent:
         """
         self.policies, self.motions = policies, [policy.motion for policy in policies]
         self.speeds = [float(mean_speed(motion)) for motion in self.motions]
-        self.name = f"{BLEND_PREFIX}{','.join(policy.name for policy in policies)} schedule={schedule}"
-        self.provenance = {policy.name: policy.provenance for policy in policies}
         blending.check_chain(self.motions)
-        self.kd_scale = policies[0].kd_scale
+        name = f"{BLEND_PREFIX}{','.join(policy.name for policy in policies)} schedule={schedule}"
+        super().__init__(name, policies[0])
+        self.motion, self.provenance = None, {policy.name: policy.provenance for policy in policies}
         if any(policy.kd_scale != self.kd_scale for policy in policies):
             raise ValueError(f"{self.name}: its policies have D gains of their own, so that no one PD law holds both.")
         if schedule not in SCHEDULES:
@@ -46,24 +44,6 @@ class BlendAgent:
             raise ValueError(f"{self.name} goes by speed; name its policies from the slowest to the fastest.")
         self._schedule = SCHEDULES[schedule]
         self._step = jax.jit(self._blended)
-
-    @property
-    def lead(self) -> PolicyAgent:
-        """See `Agent.lead`: the first policy."""
-        return self.policies[0]
-
-    @property
-    def stride_acts(self) -> int:
-        """See `Agent.stride_acts`."""
-        return self.lead.stride_acts
-
-    def acts_before(self, stride: int) -> int:
-        """See `Agent.acts_before`."""
-        return self.lead.acts_before(stride)
-
-    def initial_state(self, robots: int) -> tuple[np.ndarray, np.ndarray]:
-        """See `Agent.initial_state`."""
-        return self.lead.initial_state(robots)
 
     def init(self, sensed: Sensed) -> Progress:
         """See `Agent.init`."""

@@ -1,12 +1,13 @@
 """A policy that is steered: by a schedule of commands, by a follower of a path, or by whoever commands it live."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 import jax
 import numpy as np
 
+from cassie_mjx.agents.delegating import Delegating
 from cassie_mjx.agents.policy import PolicyAgent
 from cassie_mjx.agents.types import Sensed
 from cassie_mjx.control.command import toward
@@ -65,14 +66,12 @@ def steered_step(
     return targets, SteeredCarry(walk, told, pilot)
 
 
-class SteeredAgent:
+class SteeredAgent(Delegating[PolicyAgent]):
     """A policy under commands, as an `Agent`.
 
     Its command goes at a limited pace (`control.command.toward`) to the target: that of the schedule, or the one that
     `step` is given. It brings robots up to speed straight ahead, at the forward velocity that the schedule begins with.
     """
-
-    needs_bodies = False
 
     def __init__(
         self, policy: PolicyAgent, schedule: CommandSchedule, name: str, step: Callable[..., Any] | None = None
@@ -90,39 +89,21 @@ class SteeredAgent:
         """
         if mean_speed(policy.motion) == 0:
             raise ValueError(f"policy={policy.name} steps on the spot; choose one that walks to command it.")
-        self.policy, self.schedule, self.name = policy, schedule, name
-        self.motion, self.period_s, self.kd_scale = policy.motion, policy.period_s, policy.kd_scale
+        super().__init__(name, policy)
+        self.schedule = schedule
         self._step = jax.jit(partial(steered_step, policy)) if step is None else step
-
-    @property
-    def provenance(self) -> Mapping[str, Any]:
-        """See `Agent.provenance`: the policy's."""
-        return self.policy.provenance
 
     @property
     def lead(self) -> "SteeredAgent":
         """See `Agent.lead`: the same policy, told to walk straight ahead as fast as the schedule's first command."""
         straight = constant((float(self.schedule.targets.forward[0, 0]), 0.0, 0.0))
-        return SteeredAgent(self.policy, straight, self.policy.name, self._step)
-
-    @property
-    def stride_acts(self) -> int:
-        """See `Agent.stride_acts`."""
-        return self.policy.stride_acts
-
-    def acts_before(self, stride: int) -> int:
-        """See `Agent.acts_before`."""
-        return self.policy.acts_before(stride)
-
-    def initial_state(self, robots: int) -> tuple[np.ndarray, np.ndarray]:
-        """See `Agent.initial_state`."""
-        return self.policy.initial_state(robots)
+        return SteeredAgent(self.inner, straight, self.inner.name, self._step)
 
     def init(self, sensed: Sensed) -> SteeredCarry:
         """See `Agent.init`: the command is the policy's own speed straight ahead."""
         robots = len(sensed.qpos)
-        own = Command.ahead(np.full(robots, mean_speed(self.motion), np.float32))
-        return SteeredCarry(self.policy.init(sensed), own, Scheduled.begin(self.schedule.repeated(robots)))
+        own = Command.ahead(np.full(robots, mean_speed(self.inner.motion), np.float32))
+        return SteeredCarry(self.inner.init(sensed), own, Scheduled.begin(self.schedule.repeated(robots)))
 
     def step(self, carry: SteeredCarry, sensed: Sensed, command: Command | None) -> tuple[Array, SteeredCarry]:
         """See `Agent.step`: a command is the target in place of the schedule's."""
@@ -130,7 +111,7 @@ class SteeredAgent:
 
     def moved(self, carry: SteeredCarry, offset: np.ndarray) -> SteeredCarry:
         """See `Agent.moved`."""
-        return carry._replace(walk=self.policy.moved(carry.walk, offset))
+        return carry._replace(walk=self.inner.moved(carry.walk, offset))
 
     def take_over(self, carry: SteeredCarry) -> SteeredCarry:
         """See `Agent.take_over`: the schedule begins."""

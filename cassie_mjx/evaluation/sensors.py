@@ -1,20 +1,19 @@
 """The suite of sensors: what errors of IMU and encoders an agent bears, on a robot with electronics."""
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cassie_mjx.agents.delegating import Delegating
 from cassie_mjx.agents.types import Agent, AgentState, Carry, Sensed
 from cassie_mjx.control.observation import NOISE
 from cassie_mjx.evaluation.scheduler import run_trials
 from cassie_mjx.evaluation.setup import LIMIT_PHASES, LONG_WALK_S, WALK_S, EvalSetup, SuiteResult
 from cassie_mjx.evaluation.trial import Metric, Trial, take
 from cassie_mjx.motion.command import Command
-from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
 from cassie_mjx.robot.dynamics import Dynamics
@@ -82,59 +81,29 @@ class MisledCarry(NamedTuple):
     errors: SensorErrors
 
 
-class MisledAgent:
+class MisledAgent(Delegating[Agent]):
     """An agent whose senses are off, as an `Agent` in steady walking."""
-
-    needs_bodies = False
 
     def __init__(self, agent: Agent) -> None:
         """Take an agent. Raises ValueError for one that acts on the poses of bodies, of which there are no errors."""
         if agent.needs_bodies:
             raise ValueError(f"suite=sensors is for policies, and {agent.name} acts on more than sensors tell.")
-        self.agent, self.name, self.period_s, self.kd_scale = agent, agent.name, agent.period_s, agent.kd_scale
+        super().__init__(agent.name, agent)
         self._misread = jax.jit(SensorErrors.misread)
-
-    @property
-    def motion(self) -> ReferenceMotion | None:
-        """See `Agent.motion`."""
-        return self.agent.motion
-
-    @property
-    def provenance(self) -> Mapping[str, Any]:
-        """See `Agent.provenance`."""
-        return self.agent.provenance
-
-    @property
-    def lead(self) -> Agent:
-        """See `Agent.lead`."""
-        return self.agent.lead
-
-    @property
-    def stride_acts(self) -> int:
-        """See `Agent.stride_acts`."""
-        return self.agent.stride_acts
-
-    def acts_before(self, stride: int) -> int:
-        """See `Agent.acts_before`."""
-        return self.agent.acts_before(stride)
-
-    def initial_state(self, robots: int) -> tuple[np.ndarray, np.ndarray]:
-        """See `Agent.initial_state`."""
-        return self.agent.initial_state(robots)
 
     def init(self, sensed: Sensed) -> MisledCarry:
         """See `Agent.init`: its senses are right."""
-        return self.take_over(self.agent.init(sensed))
+        return self.take_over(self.inner.init(sensed))
 
     def step(self, carry: MisledCarry, sensed: Sensed, command: Command | None) -> tuple[Array, MisledCarry]:
         """See `Agent.step`."""
         errors = carry.errors
-        target, walk = self.agent.step(carry.walk, Sensed(*self._misread(errors, sensed.qpos, sensed.qvel)), command)
+        target, walk = self.inner.step(carry.walk, Sensed(*self._misread(errors, sensed.qpos, sensed.qvel)), command)
         return target, MisledCarry(walk, errors._replace(step=errors.step + 1))
 
     def moved(self, carry: MisledCarry, offset: np.ndarray) -> MisledCarry:
         """See `Agent.moved`."""
-        return carry._replace(walk=self.agent.moved(carry.walk, offset))
+        return carry._replace(walk=self.inner.moved(carry.walk, offset))
 
     def take_over(self, carry: Carry) -> MisledCarry:
         """See `Agent.take_over`: its senses are right."""
