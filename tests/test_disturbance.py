@@ -282,10 +282,14 @@ def test_a_new_episode_senses_nothing_of_the_old_under_delay(hills, motion, engi
 def test_without_disturbances_keys_draw_what_they_always_drew(hills, motion):
     env = make(hills, motion, ScenarioConfig(), episode_steps=1)
     state = env.reset(jax.random.key(8))
-    np.testing.assert_array_equal(state.motion.time, jax.random.randint(jax.random.key(8), (ROBOTS,), 0, env.samples))
+    np.testing.assert_array_equal(
+        state.motion.time, jax.random.randint(jax.random.key(8), (ROBOTS,), 0, env.task.samples)
+    )
     state = env.step(state, NO_ACTION, jax.random.key(9))
     assert np.asarray(state.truncated).all()
-    np.testing.assert_array_equal(state.motion.time, jax.random.randint(jax.random.key(9), (ROBOTS,), 0, env.samples))
+    np.testing.assert_array_equal(
+        state.motion.time, jax.random.randint(jax.random.key(9), (ROBOTS,), 0, env.task.samples)
+    )
     assert_same(state.scenario, Scenario.nominal(ROBOTS))
 
 

@@ -22,6 +22,7 @@ from cassie_mjx.control.path import Path, into, out_of, shift
 from cassie_mjx.envs.command import CommandRange, command_range, draw_command
 from cassie_mjx.envs.config import WALK_PRESETS, WalkConfig
 from cassie_mjx.envs.make import make_env
+from cassie_mjx.envs.outcome import post_physics
 from cassie_mjx.evaluation import returns
 from cassie_mjx.motion.command import JOYSTICK, STRAIGHT, Command
 from cassie_mjx.motion.files import load_motion
@@ -158,7 +159,7 @@ def test_a_robot_on_the_circle_is_rewarded_and_sees_as_straight_ahead(motion):
     key, sensing = jax.random.key(0), bent.sensing
     after = motions.tick(env.motion, moment)
     qpos, qvel = map(jnp.asarray, out_of(after.path, *motions.reference(env.motion, after)))
-    outcome = env._post_physics(moment, sensing, bent.push_level, bent.scenario, qpos, qvel, qpos, qvel, key)
+    outcome = post_physics(env.task, moment, sensing, bent.push_level, bent.scenario, qpos, qvel, qpos, qvel, key)
     np.testing.assert_allclose(outcome.metrics["weighted"], 1, atol=1e-5)
     np.testing.assert_allclose(outcome.final_privileged, 0, atol=1e-4)
     moment = motions.tick(env.motion, straight.motion)
