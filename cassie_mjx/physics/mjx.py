@@ -12,20 +12,17 @@ import numpy as np
 
 from cassie_mjx.physics import newton
 from cassie_mjx.physics.constraints import Constraints
+from cassie_mjx.physics.memory import begin_memory, late_torque, remembered, rhythm
 from cassie_mjx.physics.tree import Tree, cross
 from cassie_mjx.physics.types import (
     BodyState,
     PhysicsState,
     Scenario,
-    begin_memory,
     check_batch,
     check_delay,
     check_ground,
     check_start,
-    late_torque,
     motor_torque,
-    remembered,
-    rhythm,
 )
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array

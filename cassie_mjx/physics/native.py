@@ -12,19 +12,16 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from cassie_mjx.physics.memory import begin_memory, late_torque, remembered, rhythm
 from cassie_mjx.physics.types import (
     BodyState,
     PhysicsState,
     Scenario,
-    begin_memory,
     check_batch,
     check_delay,
     check_ground,
     check_start,
-    late_torque,
     motor_torque,
-    remembered,
-    rhythm,
 )
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array

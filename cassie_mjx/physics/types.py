@@ -1,16 +1,16 @@
 """What both physics engines take and give: states, scenarios and body poses, batched over robots (axis B)."""
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import jax
 import mujoco
 import numpy as np
 
-from cassie_mjx.robot import cassie, electronics
+from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array, namespace
 from cassie_mjx.robot.dynamics import Dynamics, encoded
-from cassie_mjx.robot.electronics import Electronics, cycles_per_step, limited, torque_delay_steps
+from cassie_mjx.robot.electronics import Electronics, limited
 from cassie_mjx.robot.ground import SCENES, Ground
 
 T = TypeVar("T")
@@ -185,80 +185,11 @@ def _given(state: PhysicsState, torque: Array) -> Array:
     return torque if state.electronics is None else limited(torque, state.qvel[:, cassie.ACTIVE_QVEL])
 
 
-def late_torque(state: PhysicsState, torque: Array, scenario: Scenario, usual: int = 0) -> Array:
-    """Torques that act in this physics step, [B, 10], N·m, where those of `torque` [B, 10] are asked for.
-
-    They are as old as the torque delay of the scenario's dynamics or, where that has none, the `usual` one, physics
-    steps. Until that time has passed since the start, none is late.
-    """
-    slots, dynamics, xp = state.history.shape[1], scenario.dynamics, namespace(torque)
-    if slots == 0 or (dynamics is None and not usual):
-        return torque
-    drawn = np.int32(-1) if dynamics is None else dynamics.torque_delay
-    late = xp.where(drawn < 0, usual, drawn)
-    old = state.history[np.arange(len(torque)), (state.step + 1 - late) % slots, -cassie.NU :]
-    return xp.where(((late == 0) | (state.step < late))[:, None], torque, old)
-
-
 def begin_history(qpos: Array, qvel: Array, max_delay: int) -> Array:
     """The `PhysicsState.history` of robots that have always been in the state qpos [B, 35], qvel [B, 32]."""
     xp = namespace(qpos)
     now = xp.concatenate([qpos, qvel, xp.zeros((len(qpos), cassie.NU), qpos.dtype)], axis=1)
     return xp.repeat(now[:, None], max_delay + 1 if max_delay else 0, axis=1)
-
-
-class Rhythm(NamedTuple):
-    """How the electronics of an engine go with its physics steps."""
-
-    cycles: int = 0
-    """Cycles in a physics step; 0 without electronics."""
-    torque_delay: int = 0
-    """How late torques are where robots do not differ, physics steps."""
-
-
-def rhythm(model: mujoco.MjModel, electronics: bool, max_delay: int) -> Rhythm:
-    """That of an engine with this model, made for delays of up to `max_delay` physics steps.
-
-    Raises:
-      ValueError: a physics step has no whole number of cycles, or torques are later than the engine is made for.
-    """
-    if not electronics:
-        return Rhythm()
-    hertz = 1 / model.opt.timestep
-    found = Rhythm(cycles_per_step(hertz), torque_delay_steps(hertz))
-    if found.torque_delay > max_delay:
-        raise ValueError(
-            f"max_delay={max_delay} has no room for the torque delay of the electronics; "
-            f"it must be {found.torque_delay} or more."
-        )
-    return found
-
-
-def begin_memory(qpos: Array, qvel: Array, max_delay: int, rhythm: Rhythm) -> tuple[Array, Electronics | None]:
-    """History and electronics of robots that have always been in the state qpos [B, 35], qvel [B, 32]."""
-    if not rhythm.cycles:
-        return begin_history(qpos, qvel, max_delay), None
-    memory = electronics.init(qpos, qvel)
-    return begin_history(*electronics.shown(memory, qpos, qvel), max_delay), memory
-
-
-def remembered(
-    before: PhysicsState, qpos: Array, qvel: Array, torque: Array, rhythm: Rhythm
-) -> tuple[Array, Electronics | None]:
-    """What is remembered after a physics step: the row of the history, [B, 77], and the electronics.
-
-    Args:
-      before: the state that the step began in.
-      qpos: after it, [B, 35].
-      qvel: after it, [B, 32].
-      torque: asked for in it, [B, 10], N·m.
-      rhythm: of the engine.
-    """
-    memory = before.electronics
-    if memory is not None:
-        memory = electronics.update(memory, before.qpos, qpos, rhythm.cycles)
-        qpos, qvel = electronics.shown(memory, qpos, qvel)
-    return namespace(qpos).concatenate([qpos, qvel, torque], axis=1), memory
 
 
 def merge(chosen: Array, these: T, those: T) -> T:
