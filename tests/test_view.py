@@ -74,6 +74,7 @@ def test_the_robot_steps_as_in_the_physics_of_the_sweeps(period_s, terrain, kd_s
     for shot in film(agent, Trial(0, 0.5, terrain=hills), fps=100):
         np.testing.assert_array_equal(live.data.qpos, shot.qpos)
         live.advance(20)
+    assert live.physics.init(live.data.qpos[None], live.data.qvel[None]).history.shape == (1, 0, 35 + 32 + 10)
 
 
 def test_the_loop_keeps_real_time_and_says_so(clock):

@@ -28,7 +28,7 @@ from cassie_mjx.evaluation.trial import Trial
 from cassie_mjx.motion.command import Command
 from cassie_mjx.motion.reference import mean_speed
 from cassie_mjx.motion.schedule import constant
-from cassie_mjx.physics.types import BodyState, Physics, PhysicsState, Scenario
+from cassie_mjx.physics.types import BodyState, Physics, PhysicsState, Scenario, begin_history
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array
 from cassie_mjx.robot.drawing import load_scene
@@ -76,7 +76,7 @@ class LivePhysics:
 
     def _state(self, step: np.ndarray) -> PhysicsState:
         qpos, qvel, warmstart = (np.array([x]) for x in (self.data.qpos, self.data.qvel, self.data.qacc_warmstart))
-        return PhysicsState(qpos, qvel, warmstart, step, np.zeros((1, 0, cassie.NQ + cassie.NV)))
+        return PhysicsState(qpos, qvel, warmstart, step, begin_history(qpos, qvel, self.max_delay))
 
 
 def steerable(agent: Agent) -> Agent:
