@@ -1,4 +1,4 @@
-"""The picture of the robot in the README: `python -m experiments.portrait out=docs/cassie.png`."""
+"""The picture of the robot in the guide: `python -m experiments.portrait out=docs/cassie.png`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

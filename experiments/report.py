@@ -271,7 +271,7 @@ def walked_twice(folder: Path) -> list[str]:
 
 
 def main(config: ReportConfig) -> None:
-    """Write the page and the README's table."""
+    """Write the page, and the tables of the files that are named."""
     folder = Path(config.results)
     if not folder.is_dir():
         raise ValueError(f"results={folder} is not a folder; name the one with the result files.")

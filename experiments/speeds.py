@@ -1,7 +1,7 @@
 """How well policies keep the commanded speed: `python -m experiments.speeds out=speeds.json plot=speeds.png`.
 
 Each policy walks at its own speed, and one that was trained at any speed at twenty, from 0x to 4x, and after a profile
-that commands another speed every 2 s for a minute, to which the reference moves by 0.625x a second, as in training.
+that commands another speed every 2 s for a minute, to which the reference moves by 0.625x a second either way.
 MuJoCo C at 2 kHz. How they learn, `experiments.learning study=learning_speeds` shows.
 """
 
@@ -128,7 +128,7 @@ def follow(policy: PolicyAgent, factors: np.ndarray, starts: int = STARTS) -> Ri
 
 
 def approached(factors: np.ndarray) -> np.ndarray:
-    """Factors [T] that follow those commanded at the pace of training, 0.625 a second, from the first one on."""
+    """Factors [T] that follow those commanded by 0.625 a second at most, from the first one on."""
     step, now, reached = RAMP_PER_S * CONTROL_PERIOD_S, factors[0], []
     for factor in factors:
         now += np.clip(factor - now, -step, step)

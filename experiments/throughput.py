@@ -49,7 +49,7 @@ class ThroughputConfig(Checked):
     control_steps: Annotated[int, Range(1, 10_000)] = 8
     """Control steps of 32 ms in each timed stretch."""
     turns: Annotated[int, Range(1, 1000)] = 5
-    """Timed stretches; the median counts."""
+    """Timed stretches on MuJoCo C, and half as many, three at least, on MJX; the median counts."""
     seed: Seed = 0
     """Seed of the gait phases."""
 

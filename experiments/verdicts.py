@@ -49,7 +49,7 @@ class Subset:
     trials: Sequence[Sequence[Trial]]
     """In groups (a phase, or a direction and a phase) and, within each, in levels from weak to strong."""
     scene: str = "flat"
-    """Scene on MuJoCo C."""
+    """Scene of both engines."""
     longest_delay_s: float = 0.0
     """What the engine must be made for."""
 

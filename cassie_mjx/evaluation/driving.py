@@ -51,11 +51,14 @@ def command(agent: Agent, setup: EvalSetup) -> SuiteResult:
 
 
 def command_grid() -> np.ndarray:
-    """Forward velocities of -1x to 4x, lateral ones and yaw rates; no corners from 2.1 m/s on; [118, 3], m/s, rad/s."""
+    """Forward velocities of -1x to 4x, lateral ones and yaw rates, [118, 3], m/s, rad/s.
+
+    From 2.1 m/s on, neither of the latter is at its largest.
+    """
     axes = [-0.7, 0.0, 0.7, 1.4, 2.1, 2.8], [-0.4, -0.2, 0.0, 0.2, 0.4], [-0.8, -0.4, 0.0, 0.4, 0.8]
     commands = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    corner = (np.abs(commands[:, 1:]) == JOYSTICK).any(axis=1)
-    return commands[~(corner & (commands[:, 0] >= FULL_STEERING_MPS))]
+    full = (np.abs(commands[:, 1:]) == JOYSTICK).any(axis=1)
+    return commands[~(full & (commands[:, 0] >= FULL_STEERING_MPS))]
 
 
 def grid(agent: PolicyAgent, setup: EvalSetup) -> SuiteResult:
