@@ -139,11 +139,13 @@ def main(config: InterpolationConfig) -> None:
     for chain in (policies[1:3], policies[2:4], policies):
         blend = BlendAgent(chain, "ramp")
         rides[blend.name] = ride(blend)
-        rows += rides[blend.name].rows(blend.name)
-        console.print(*rows[-4:], sep="\n")
+        found = rides[blend.name].rows(blend.name)
+        rows += found
+        console.print(*found, sep="\n")
     if config.terrain:
-        rows += rough_ground(policies[1:3])
-        console.print(*rows[-3:], sep="\n")
+        found = rough_ground(policies[1:3])
+        rows += found
+        console.print(*found, sep="\n")
     curves = {name: walk.curve() for name, walk in rides.items()}
     provenance = cli.provenance(**asdict(config), agent={policy.name: policy.provenance for policy in policies})
     cli.write_result(out, {"rows": rows, "rides": curves, "provenance": provenance})

@@ -5,7 +5,6 @@ timed beside a bare loop in C over the same model and PD law on as many threads 
 control steps); the two take turns, and their ratio is taken turn by turn. Compile time stands apart.
 """
 
-import os
 import statistics
 import time
 from collections.abc import Callable
@@ -20,7 +19,7 @@ import numpy as np
 from cassie_mjx import cli
 from cassie_mjx.configuration.values import Checked, Range, Seed
 from cassie_mjx.physics.mjx import MjxPhysics
-from cassie_mjx.physics.native import NativePhysics
+from cassie_mjx.physics.native import NativePhysics, cores
 from cassie_mjx.physics.types import Physics, PhysicsState, Scenario
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.model import (
@@ -150,7 +149,7 @@ def main(config: ThroughputConfig) -> None:
     out = cli.check_output(config.out, cli.RESULT, config.overwrite)
     # Each program is to be compiled, not loaded, so that its compile time means what it says.
     jax.config.update("jax_enable_compilation_cache", False)
-    threads = os.cpu_count() or 1
+    threads = cores()
     console = cli.console()
     rows = []
     for robots in config.native_robots:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cassie_mjx.control import command as motions
-from cassie_mjx.control.command import MotionState, onward, toward
+from cassie_mjx.control.command import STEP_OUT_MPS, SWAY_MPS, MotionState, onward, toward
 from cassie_mjx.control.path import Path, into, stay_beside
 from cassie_mjx.envs import command
 from cassie_mjx.envs.config import WalkConfig
@@ -63,7 +63,7 @@ def test_strides_begin_with_both_feet_down(motion):
 
 
 def test_a_robot_stands_once_it_steps_on_the_spot_and_a_foot_has_landed(motion):
-    """From 0.5 m/s at sample 3: at rest after 11 steps, in sample 14; in the step that follows it comes to stand."""
+    """From 0.5 m/s at sample 3: at rest after 11 steps, in sample 14; in half of the step that follows it stands."""
     command, time, stands, forward, times = told(0.5, 0.0, 0.2, 0.0), np.array([3]), [], [], []
     for _ in range(60):
         times.append(int(time[0]))
@@ -72,41 +72,41 @@ def test_a_robot_stands_once_it_steps_on_the_spot_and_a_foot_has_landed(motion):
         forward.append(float(command.forward[0]))
         time = onward(motion, time, command)
     assert forward.index(0) == 10, "0.5 m/s at 1.5 m/s² takes 10.4 control steps"
-    assert times[stands.index(0.1)] == 22, "a foot lands"
-    np.testing.assert_allclose(stands[19:29], np.arange(1, 11) / 10)
-    assert set(stands[29:]) == {1.0}
+    assert times[stands.index(0.2)] == 22, "a foot lands"
+    np.testing.assert_allclose(stands[19:24], np.arange(1, 6) / 5)
+    assert set(stands[24:]) == {1.0}
     assert times[19:31] == list(range(22, 34))
     assert set(times[30:]) == {33}, "the clock rests as the other foot lands"
     backwards = []
-    for _ in range(12):
+    for _ in range(7):
         command = toward(motion, command, told(-0.5, 0.0, 0.0, 0.0), time, AT_REST)
         backwards.append((float(np.asarray(command.stand)[0]), float(command.forward[0])))
         time = onward(motion, time, command)
-    np.testing.assert_allclose([stand for stand, _ in backwards], [*np.arange(9, -1, -1) / 10, 0, 0], atol=1e-9)
-    assert [speed for _, speed in backwards[:9]] == [0] * 9, "it walks only when it no longer stands"
+    np.testing.assert_allclose([stand for stand, _ in backwards], [*np.arange(4, -1, -1) / 5, 0, 0], atol=1e-9)
+    assert [speed for _, speed in backwards[:4]] == [0] * 4, "it walks only when it no longer stands"
     assert backwards[-1][1] < 0
     assert time == 33 + len(backwards), "the clock goes on at once"
 
 
-def test_a_standing_robot_steps_while_something_moves_it(motion):
-    """0.51 m/s is more than 0.5; the direction does not matter. It stands again in a step of its own."""
+def moved_at(speed):
+    """Velocities [1, 32] of a robot that moves at a speed, m/s, forward and to the right."""
     moved = np.zeros((1, 32))
-    moved[0, :2] = 0.24, -0.45
-    command, time = told(*STAND), np.array([11])
-    for _ in range(5):
-        command = toward(motion, command, told(*STAND), time, moved)
+    moved[0, :2] = 0.6 * speed, -0.8 * speed
+    return moved
+
+
+def test_a_standing_robot_that_something_moves_takes_whole_steps(motion):
+    """It leaves above STEP_OUT_MPS, and comes to stand again, as a foot lands, below SWAY_MPS."""
+    command, time, stands = told(*STAND), np.array([11]), []
+    too_fast = STEP_OUT_MPS + 0.01, SWAY_MPS + 0.01
+    speeds = [STEP_OUT_MPS - 0.01] * 3 + [too_fast[0]] + [0.0] * 9 + [too_fast[1]] * 12 + [SWAY_MPS - 0.01] + [9.0] * 10
+    for speed in speeds:
+        command = toward(motion, command, told(*STAND), time, moved_at(speed))
+        stands.append(float(np.asarray(command.stand)[0]))
         time = onward(motion, time, command)
-    np.testing.assert_allclose(command.stand, 0.5)
-    assert time == 16
-    for _ in range(12):
-        command = toward(motion, command, told(*STAND), time, moved)
-        time = onward(motion, time, command)
-    assert command.stand == 0
-    assert time == 28
-    for _ in range(16):
-        command = toward(motion, command, told(*STAND), time, AT_REST)
-        time = onward(motion, time, command)
-    assert command.stand == 1
+    np.testing.assert_allclose(stands[:9], [1, 1, 1, 0.8, 0.6, 0.4, 0.2, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(stands[9:25], 0, atol=1e-9, err_msg="at sample 22 it is too fast to stand")
+    np.testing.assert_allclose(stands[25:], [0.2, 0.4, 0.6, 0.8, *[1] * 7], err_msg="from sample 33 to 44")
     assert time == 44
 
 
@@ -122,16 +122,14 @@ def test_a_standing_robot_pushed_aside_takes_its_path_along(motion):
     np.testing.assert_array_equal(stay_beside(Path(zeros, zeros, zeros), told(0.7, 0, 0, 0), now, qpos, qvel), 0)
 
 
-def test_robots_told_to_stand_are_paid_for_standing_once_they_step_on_the_spot(motion):
+def test_robots_told_to_stand_are_not_paid_for_steps_on_the_spot(motion):
     """Told to walk, braking, stepping on the spot, half way, on the way from standing to walking."""
     forward, stand = np.array([0.7, 0.7, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 0.5, 0.5])
     target = np.array([0.0, 1.0, 1.0, 1.0, 0.0])
     zeros = np.zeros(5)
     now, goal = Command(forward, zeros, zeros, stand), Command(zeros, zeros, zeros, target)
     state = MotionState(np.full(5, 5), np.full(5, 5), now, goal, zeros, Path(zeros, zeros, zeros))
-    paid = command.paid(state)
-    np.testing.assert_array_equal(paid.stand, [0, 0, 1, 1, 0.5])
-    np.testing.assert_array_equal(paid.forward, forward)
+    np.testing.assert_array_equal(command.paid(state), [1, 1, 0, 0.5, 1])
     env = make_env(robots=1, physics_hz=500, config=WalkConfig(min_reward=None), command="joystick")
     stands, steps = (
         env.reset_at(np.array([5], np.int32), Scenario.nominal(1), jax.tree.map(jnp.float32, told(0.0, 0.0, 0.0, 0.0)))
@@ -141,7 +139,9 @@ def test_robots_told_to_stand_are_paid_for_standing_once_they_step_on_the_spot(m
     stands = replace(stands, motion=stands.motion._replace(target_command=to_stand))
     ends = [env.step(state, np.zeros((1, 10)), jax.random.key(0)) for state in (stands, steps)]
     np.testing.assert_array_equal(ends[0].physics.qpos, ends[1].physics.qpos)
-    assert ends[0].reward[0] < ends[1].reward[0] - 0.1, "in mid-step it is near to the steps, not to the pose"
+    assert ends[0].reward[0] == 0
+    assert ends[1].reward[0] == pytest.approx(ends[1].metrics["weighted"][0])
+    assert ends[0].metrics["weighted"][0] == ends[1].metrics["weighted"][0] > 0.5, "what is measured is the same"
 
 
 def test_robots_of_the_task_stand_from_the_first_moment_and_their_clock_rests():

@@ -134,6 +134,7 @@ def _steering(motion: ReferenceMotion) -> dict[str, Any]:
         "yaw_pace": command.YAW_PACE,
         "stand_s": command.STAND_S,
         "step_out_mps": command.STEP_OUT_MPS,
+        "sway_mps": command.SWAY_MPS,
         "leash_m": path.LEASH_M,
     }
 

@@ -12,11 +12,12 @@ from cassie_mjx.robot.cassie import CONTROL_PERIOD_S, PELVIS_X
 BRAKING, LATERAL_PACE, YAW_PACE = 1.5, 0.4, 1.6
 """Paces at which a walk is slowed down, m/s², brought to another lateral velocity, m/s², and to another yaw rate,
 rad/s²."""
-STAND_S = 0.32
-"""Time in which a robot comes to stand, and leaves it, s: in one step, which brings its feet together or parts them."""
-STEP_OUT_MPS = 0.5
+STAND_S = 5 * CONTROL_PERIOD_S
+"""Time in which a robot comes to stand, and leaves it, s: in half a step, whose foot is then put down, or lifted."""
+STEP_OUT_MPS, SWAY_MPS = 0.3, 0.5
 """Horizontal speed of the pelvis, m/s, at which a robot that stands begins to step: its capture point, 0.32 s ahead, is
-then 0.16 m away, beyond its feet. Steps on the spot alone sway by up to 0.4 m/s."""
+then 0.1 m away, at the end of its feet. One that steps on the spot, which alone sways by up to 0.4 m/s, comes to stand
+below the second."""
 
 
 class MotionState(NamedTuple):
@@ -54,7 +55,7 @@ def tick(motion: ReferenceMotion, state: MotionState) -> MotionState:
 def onward(motion: ReferenceMotion, time: Array, command: Command, steps: int = 1) -> Array:
     """The motion's time [B], 0 or 1 `steps` later: it rests with robots that stand, once a foot has landed."""
     walks = namespace(time, command.forward).asarray(command.stand) < 1
-    return time + steps * (walks | ~_feet_down(motion, time))
+    return time + steps * (walks | (_since_landing(motion, time) > 0))
 
 
 def follow(state: MotionState, lead: Array, aside: Array, leash_m: Array | float) -> MotionState:
@@ -74,9 +75,9 @@ def follow(state: MotionState, lead: Array, aside: Array, leash_m: Array | float
 def toward(motion: ReferenceMotion, command: Command, target: Command, time: Array, qvel: Array) -> Command:
     """The command one control step later on its way to a target.
 
-    Forward it gains 0.625 of the motion's speed a second, and brakes faster. A robot that steps on the spot comes to
-    stand in a step that begins as a foot lands, and walks only when it no longer stands. A robot told to stand
-    steps on the spot as long as something moves it at more than `STEP_OUT_MPS`.
+    Forward it gains 0.625 of the motion's speed a second, and brakes faster. Whether a robot is to stand or to step is
+    decided as a foot lands, and while it stands: it steps if it is told to walk, or if something moves it at more than
+    `STEP_OUT_MPS`. It walks only when it no longer stands.
 
     Args:
       motion: what is walked.
@@ -85,11 +86,15 @@ def toward(motion: ReferenceMotion, command: Command, target: Command, time: Arr
       time: control steps since the motion began, [B].
       qvel: as sensed, [B, 32].
     """
-    xp = namespace(command.forward, qvel)
-    still = command.on_the_spot & _feet_down(motion, time)
-    calm = xp.square(qvel[:, cassie.HORIZONTAL_VELOCITY]).sum(axis=-1) < STEP_OUT_MPS**2
-    wanted = target.stand * (calm & (still | (command.stand > 0)))
-    stand = command.stand + xp.clip(wanted - command.stand, -CONTROL_PERIOD_S / STAND_S, CONTROL_PERIOD_S / STAND_S)
+    xp, ramp = namespace(command.forward, qvel), CONTROL_PERIOD_S / STAND_S
+    calm_mps = xp.where(command.stand == 1, STEP_OUT_MPS, SWAY_MPS)
+    calm = xp.square(qvel[:, cassie.HORIZONTAL_VELOCITY]).sum(axis=-1) < calm_mps**2
+    since_landing = _since_landing(motion, time)
+    # In a step it goes on as it began, which shows: on the way up the first half of the ramp is the lower one.
+    comes_to_stand = (command.stand > 0) & ((command.stand > 0.5) == (since_landing * ramp > 0.5))
+    decides = target.stand * (command.on_the_spot & calm)
+    wanted = xp.where(since_landing == 0, decides, comes_to_stand)
+    stand = command.stand + xp.clip(wanted - command.stand, -ramp, ramp)
     speeding = RAMP_PER_S * mean_speed(motion)
     paces = xp.where(abs(target.forward) < abs(command.forward), BRAKING, speeding), LATERAL_PACE, YAW_PACE
     steps = (CONTROL_PERIOD_S * pace * (stand == 0) for pace in paces)
@@ -97,10 +102,9 @@ def toward(motion: ReferenceMotion, command: Command, target: Command, time: Arr
     return Command(*moved, stand=stand)
 
 
-def _feet_down(motion: ReferenceMotion, time: Array) -> Array:
-    """Whether a foot has just landed, [B], bool: strides begin so, and the second step in their middle."""
-    half = motion.qpos.shape[0] // 2
-    return time % half == 0
+def _since_landing(motion: ReferenceMotion, time: Array) -> Array:
+    """Control steps since a foot landed, [B]: strides begin so, and the second step in their middle."""
+    return time % (motion.qpos.shape[0] // 2)
 
 
 def approach(motion: ReferenceMotion, state: MotionState, qvel: Array) -> MotionState:

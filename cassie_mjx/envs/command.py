@@ -26,8 +26,9 @@ from cassie_mjx.robot.ground import START_X_M, Ground
 
 # What the key of a speed is folded with for the steering, and for who is to stand.
 _STEERING_KEY, _STAND_KEY = 2, 3
-STANDING_SHARE = 0.2
-"""Share of the commands by which robots are to stand, where they are steered."""
+STILL_SHARE, STANDING_SHARE = 0.35, 0.8
+"""Share of the commands that tell robots to stay where they are, where they are steered, and share of those that tell
+them to stand; the others are to step on the spot."""
 
 
 class CommandRange(NamedTuple):
@@ -103,8 +104,10 @@ def draw_command(motion: ReferenceMotion, key: jax.Array, robots: int, commands:
     lateral_key, yaw_key = jax.random.split(jax.random.fold_in(key, _STEERING_KEY))
     sides = (draw_factor(each, robots, (-1.0, 1.0)) for each in (lateral_key, yaw_key))
     walking = steered(told.forward, commands.steering, *sides)
-    stands = jax.random.bernoulli(jax.random.fold_in(key, _STAND_KEY), STANDING_SHARE, (robots,))
-    return merge(stands, Command.ahead(0 * told.forward)._replace(stand=1 + 0 * told.forward), walking)
+    still_key, stand_key = jax.random.split(jax.random.fold_in(key, _STAND_KEY))
+    still = jax.random.bernoulli(still_key, STILL_SHARE, (robots,))
+    stand = jax.random.bernoulli(stand_key, STANDING_SHARE, (robots,)).astype(told.forward.dtype)
+    return merge(still, Command.ahead(0 * told.forward)._replace(stand=stand), walking)
 
 
 def steered(forward: Array, steering: Steering, lateral: Array, yaw_rate: Array) -> Command:
@@ -118,14 +121,13 @@ def steered(forward: Array, steering: Steering, lateral: Array, yaw_rate: Array)
     return Command(forward, steering.lateral * share * lateral, steering.yaw_rate * share * yaw_rate, 0 * forward)
 
 
-def paid(state: MotionState) -> Command:
-    """The commands that robots are paid for: as told, but to stand, for those that step on the spot on the way there.
+def paid(state: MotionState) -> jax.Array:
+    """The share of the reward that robots are paid, [B]: for steps on the spot nothing, if they are told to stand.
 
-    A robot that was paid for its steps learned to sway so much that it never had to stand.
+    A robot that was paid for them learned to sway so much that it never had to stand.
     """
     now = state.command
-    coming = now.on_the_spot & (state.target_command.stand > 0)
-    return now._replace(stand=jnp.where(coming, 1.0, now.stand))
+    return jnp.where(now.on_the_spot & (state.target_command.stand > 0), now.stand, 1.0)
 
 
 def redraw_target(

@@ -38,8 +38,8 @@ def post_physics(
     nan = ~(jnp.isfinite(qpos).all(axis=1) & jnp.isfinite(qvel).all(axis=1))
     qpos, qvel, sensed_qpos, sensed_qvel = merge(nan, (*in_world, *in_world), (qpos, qvel, sensed_qpos, sensed_qvel))
     walked = on_the_path(state.path, qpos, qvel, scenario.ground)
-    rewards, terms = _rewards(task, walked, _paid(task, state, reference[0]), nan)
-    earned = jnp.where(nan, 0.0, reward.total(terms))
+    rewards, terms = _rewards(task, walked, reference[0], nan)
+    earned = jnp.where(nan, 0.0, command.paid(state) * reward.total(terms))
     lead, aside = ((walked - reference[0])[:, axis] for axis in (cassie.PELVIS_X, cassie.PELVIS_Y))
     causes = _ends(task, nan, walked[:, cassie.PELVIS_Z], earned, lead, aside)
     terminated = jnp.stack(causes).any(axis=0)
@@ -68,13 +68,6 @@ def post_physics(
         truncated=truncated,
         metrics={**rewards, **terms._asdict(), **causes},
     )
-
-
-def _paid(task: Task, state: MotionState, reference: jax.Array) -> jax.Array:
-    """The reference, qpos [B, 35], that robots are paid for being near to."""
-    if task.commands.steering == STRAIGHT:
-        return reference
-    return motions.reference(task.motion, state._replace(command=command.paid(state)))[0]
 
 
 def _rewards(

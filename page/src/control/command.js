@@ -4,14 +4,18 @@ import {VELOCITY, clip} from "./state.js";
 
 // The command one control step later on its way to a target.
 //
-// A robot that steps on the spot comes to stand in a step that begins as a foot lands, and walks only when it no longer
-// stands. As long as something moves it, qvel [32] as sensed, it steps on the spot.
+// Whether a robot is to stand or to step is decided as a foot lands, and while it stands: it steps if it is told to walk,
+// or if something moves it too fast, qvel [32] as sensed. It walks only when it no longer stands.
 export function toward({steering, reference, robot}, command, target, time, qvel) {
-  const period = robot.control_period_s;
-  const still = command.forward === 0 && command.lateral === 0 && command.yawRate === 0 && feetDown(reference, time);
-  const calm = qvel[VELOCITY[0]] ** 2 + qvel[VELOCITY[0] + 1] ** 2 < steering.step_out_mps ** 2;
-  const wanted = calm && (still || command.stand > 0) ? target.stand : 0;
-  const stand = nearer(command.stand, wanted, period / steering.stand_s);
+  const period = robot.control_period_s, ramp = period / steering.stand_s;
+  const onTheSpot = command.forward === 0 && command.lateral === 0 && command.yawRate === 0;
+  const calm = command.stand === 1 ? steering.step_out_mps : steering.sway_mps;
+  const isCalm = qvel[VELOCITY[0]] ** 2 + qvel[VELOCITY[0] + 1] ** 2 < calm ** 2;
+  const landed = sinceLanding(reference, time);
+  // In a step it goes on as it began.
+  const comesToStand = command.stand > 0 && command.stand > 0.5 === landed * ramp > 0.5 ? 1 : 0;
+  const decides = onTheSpot && isCalm ? target.stand : 0;
+  const stand = nearer(command.stand, landed === 0 ? decides : comesToStand, ramp);
   if (stand !== 0) return {...command, stand};
   const braking = Math.abs(target.forward) < Math.abs(command.forward);
   return {
@@ -24,14 +28,14 @@ export function toward({steering, reference, robot}, command, target, time, qvel
 
 // The motion's time one control step later: it rests with a robot that stands, once a foot has landed.
 export function onward({reference}, time, command) {
-  return command.stand < 1 || !feetDown(reference, time) ? time + 1 : time;
+  return command.stand < 1 || sinceLanding(reference, time) > 0 ? time + 1 : time;
 }
 
 function nearer(now, to, step) {
   return now + clip(to - now, -step, step);
 }
 
-// Whether a foot has just landed: strides begin so, and the second step in their middle.
-function feetDown(reference, time) {
-  return time % Math.floor(reference.qpos.length / 2) === 0;
+// Control steps since a foot landed: strides begin so, and the second step in their middle.
+function sinceLanding(reference, time) {
+  return time % Math.floor(reference.qpos.length / 2);
 }
