@@ -1,7 +1,7 @@
 """Measure an agent: `python -m cassie_mjx.evaluate policy=1x suite=all out=FILE.json`.
 
-What is measured and how, `cassie_mjx.evaluation.suites` says. What is drawn is drawn with seed 0: the same command gives
-the same figures.
+What is measured and how, `cassie_mjx.evaluation.suites` says. What is drawn is drawn with seed 0: the same command
+gives the same figures.
 """
 
 import time
