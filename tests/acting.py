@@ -4,8 +4,14 @@ import numpy as np
 
 from cassie_mjx.agents.types import AgentState
 from cassie_mjx.evaluation.steady import begin
+from cassie_mjx.ppo import networks
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.model import ModelConfig, load_model, standing
+
+
+def mode(policy, observation):
+    """What a learner's policy without memory does."""
+    return networks.mode(policy, observation, np.zeros((*observation.shape[:-1], 0), np.float32))[0]
 
 
 class TestAgent:
