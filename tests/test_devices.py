@@ -45,6 +45,7 @@ CONFIG = PPOConfig(
     hidden_sizes=(16,),
     normalizer_samples=48,
 )
+RECURRENT = replace(CONFIG, network="gru")
 
 
 def environment(**variables):
@@ -173,12 +174,12 @@ def test_two_devices_share_robots_and_learn_as_one(start, network):
 def go_on_elsewhere(folder, number):
     """Restore checkpoint `number` on the devices of this process, bit for bit, learn once more and save the next."""
     folder, number = Path(folder), int(number)
-    collect, update = partial(rollout.collect, step, CONFIG), partial(learner.update, CONFIG)
+    collect, update = partial(rollout.collect, step, RECURRENT), partial(learner.update, RECURRENT)
     places: Any = None
     if jax.device_count() > 1:
         collect, update = devices.on_all(collect, update)
         places = devices.same_everywhere(), devices.split_by_robot()
-    state = learner.init(jax.random.key(1), CONFIG, 3, 3, 0)
+    state = learner.init(jax.random.key(1), RECURRENT, 3, 3, 0)
     run = state, rollout.begin(state.policy, points(jnp.zeros((8, 3))))
     run = jax.device_put(run, places) if places else run
     arrays = checkpoint.restore(folder / f"step_{number:06d}").arrays
@@ -186,6 +187,7 @@ def go_on_elsewhere(folder, number):
     held = {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(devices.gather(run))}
     assert all(np.array_equal(held[name], arrays[name]) for name in arrays)
     assert len(robots.env.observation.sharding.device_set) == jax.device_count()
+    assert number == 0 or np.abs(robots.hidden).max() > 0.01
     robots, lived = collect(state.policy, robots, jax.random.key(number))
     state, metrics = jax.jit(update)(state, lived, jax.random.key(number))
     assert np.isfinite(jax.tree.leaves(jax.device_get(metrics))).all()
@@ -194,8 +196,9 @@ def go_on_elsewhere(folder, number):
 
 
 def test_a_checkpoint_goes_on_with_more_devices_and_with_fewer(tmp_path):
-    begun = learner.init(jax.random.key(1), CONFIG, 3, 3, 0), points(jax.random.normal(jax.random.key(0), (8, 3)))
-    checkpoint.save(tmp_path, 0, begun, load_motion("walk"), {})
+    state = learner.init(jax.random.key(1), RECURRENT, 3, 3, 0)
+    robots = rollout.begin(state.policy, points(jax.random.normal(jax.random.key(0), (8, 3))))
+    checkpoint.save(tmp_path, 0, (state, robots), load_motion("walk"), {})
     go_on_elsewhere(tmp_path, 0)
     finish(two_devices(*call(go_on_elsewhere, tmp_path, 1)))
     go_on_elsewhere(tmp_path, 2)
