@@ -85,7 +85,7 @@ def changed(name: str, settings: Mapping[str, str]) -> Variant:
     return Variant(f"early-{name}", {**EARLY, **settings})
 
 
-LATER = {"init": None, "ppo.privileged_critic": False, "ppo.final_action_std": None}
+LATER = {"init": None, "ppo.network": "mlp", "ppo.privileged_critic": False, "ppo.final_action_std": None}
 LATER |= {
     "walk.symmetric": False,
     "walk.max_position_error_m": None,

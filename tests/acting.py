@@ -1,11 +1,18 @@
 """Agents for tests: what an agent must have, and one that needs a robot but no walk."""
 
+import jax.numpy as jnp
 import numpy as np
 
 from cassie_mjx.agents.types import AgentState
 from cassie_mjx.evaluation.steady import begin
+from cassie_mjx.ppo import networks
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.model import ModelConfig, load_model, standing
+
+
+def mode(policy, observation):
+    """What a learner's policy without memory does."""
+    return networks.mode(policy, observation, jnp.zeros((*observation.shape[:-1], 0)))[0]
 
 
 class TestAgent:

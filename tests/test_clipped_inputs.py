@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import acting
 import jax
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from cassie_mjx.envs.config import WALK_PRESETS, WalkConfig
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.make import make_physics
-from cassie_mjx.ppo import networks, normalizer
+from cassie_mjx.ppo import normalizer
 from cassie_mjx.robot.model import ModelConfig
 
 STEPS, ROBOTS = 300, 20
@@ -50,7 +51,7 @@ def clipped_share(name):
     model = ModelConfig(physics_hz=500, scene=walk.scene)
     physics = make_physics("native", model, walk.scenario.delay_steps(500))
     env = WalkEnv(physics, motion, walk, ROBOTS, *command_range(motion, *asked))
-    act = jax.jit(lambda observation: networks.mode(policy, observation))
+    act = jax.jit(lambda observation: acting.mode(policy, observation))
     inputs = jax.jit(lambda observation: normalizer.normalize(policy.normalizer, observation))
     key, clipped = jax.random.key(0), np.zeros(saved.mean.shape)
     state = env.reset(key)

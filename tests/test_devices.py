@@ -45,6 +45,7 @@ CONFIG = PPOConfig(
     hidden_sizes=(16,),
     normalizer_samples=48,
 )
+RECURRENT = replace(CONFIG, network="gru")
 
 
 def environment(**variables):
@@ -128,22 +129,24 @@ def assert_same_everywhere(tree):
     assert len(set(devices.exchange(zlib.crc32(b"".join(copy for (copy,) in held))))) == 1
 
 
-def with_two_devices_a_point_robot_is_trained(distributed):
+def with_two_devices_a_point_robot_is_trained(distributed, network):
     if distributed == "True":
         devices.join()
-    collect, update = partial(rollout.collect, step, CONFIG), partial(learner.update, CONFIG)
+    config = replace(CONFIG, network=network)
+    collect, update = partial(rollout.collect, step, config), partial(learner.update, config)
     collect_on_all, update_on_all = devices.on_all(collect, update)
     share = jax.random.normal(jax.random.key(0), (4, 3))
-    state = learner.init(jax.random.key(1), CONFIG, 3, 3, 0)
+    state = learner.init(jax.random.key(1), config, 3, 3, 0)
     placed = jax.device_put(state, devices.same_everywhere())
-    start = jax.device_put(points(jnp.concatenate([share, share])), devices.split_by_robot())
+    robots = rollout.begin(state.policy, points(jnp.concatenate([share, share])))
+    start = jax.device_put(robots, devices.split_by_robot())
 
     # Both devices start from the same robots, and each collects what one device would with its key.
     key = jax.random.key(2)
     _, lived = collect_on_all(placed.policy, start, key)
     whole = jax.tree.map(np.asarray, devices.gather(lived))
     for shard, (robots, own_key) in zip(np.split(whole.action, 2, axis=1), devices.shares(start, key, 2), strict=True):
-        assert np.array_equal(robots.observation, share)
+        assert np.array_equal(robots.env.observation, share)
         _, alone = collect(state.policy, robots, own_key)
         np.testing.assert_allclose(shard, alone.action, rtol=1e-5)
     assert not (whole.action[:, :4] == whole.action[:, 4:]).any()
@@ -163,25 +166,28 @@ def with_two_devices_a_point_robot_is_trained(distributed):
 
 
 @pytest.mark.parametrize("start", [two_devices, pytest.param(two_processes, marks=pytest.mark.slow)])
-def test_two_devices_share_robots_and_learn_as_one(start):
-    finish(start(*call(with_two_devices_a_point_robot_is_trained, start is two_processes)))
+@pytest.mark.parametrize("network", ["mlp", "gru"])
+def test_two_devices_share_robots_and_learn_as_one(start, network):
+    finish(start(*call(with_two_devices_a_point_robot_is_trained, start is two_processes, network)))
 
 
 def go_on_elsewhere(folder, number):
     """Restore checkpoint `number` on the devices of this process, bit for bit, learn once more and save the next."""
     folder, number = Path(folder), int(number)
-    collect, update = partial(rollout.collect, step, CONFIG), partial(learner.update, CONFIG)
+    collect, update = partial(rollout.collect, step, RECURRENT), partial(learner.update, RECURRENT)
     places: Any = None
     if jax.device_count() > 1:
         collect, update = devices.on_all(collect, update)
         places = devices.same_everywhere(), devices.split_by_robot()
-    run = learner.init(jax.random.key(1), CONFIG, 3, 3, 0), points(jnp.zeros((8, 3)))
+    state = learner.init(jax.random.key(1), RECURRENT, 3, 3, 0)
+    run = state, rollout.begin(state.policy, points(jnp.zeros((8, 3))))
     run = jax.device_put(run, places) if places else run
     arrays = checkpoint.restore(folder / f"step_{number:06d}").arrays
     state, robots = run = checkpoint.restore_into(run, arrays)
     held = {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(devices.gather(run))}
     assert all(np.array_equal(held[name], arrays[name]) for name in arrays)
-    assert len(robots.observation.sharding.device_set) == jax.device_count()
+    assert len(robots.env.observation.sharding.device_set) == jax.device_count()
+    assert number == 0 or np.abs(robots.hidden).max() > 0.01
     robots, lived = collect(state.policy, robots, jax.random.key(number))
     state, metrics = jax.jit(update)(state, lived, jax.random.key(number))
     assert np.isfinite(jax.tree.leaves(jax.device_get(metrics))).all()
@@ -190,8 +196,9 @@ def go_on_elsewhere(folder, number):
 
 
 def test_a_checkpoint_goes_on_with_more_devices_and_with_fewer(tmp_path):
-    begun = learner.init(jax.random.key(1), CONFIG, 3, 3, 0), points(jax.random.normal(jax.random.key(0), (8, 3)))
-    checkpoint.save(tmp_path, 0, begun, load_motion("walk"), {})
+    state = learner.init(jax.random.key(1), RECURRENT, 3, 3, 0)
+    robots = rollout.begin(state.policy, points(jax.random.normal(jax.random.key(0), (8, 3))))
+    checkpoint.save(tmp_path, 0, (state, robots), load_motion("walk"), {})
     go_on_elsewhere(tmp_path, 0)
     finish(two_devices(*call(go_on_elsewhere, tmp_path, 1)))
     go_on_elsewhere(tmp_path, 2)
@@ -300,8 +307,8 @@ def test_two_processes_on_the_host_learn_as_one_with_all_robots(tmp_path):
     trainer = Trainer(resolve_config(ON_THE_HOST), load_motion("walk"))
     collect_all = trainer.collect
 
-    def collect(policy, env_state, key):
-        halves = [collect_all(policy, *each) for each in devices.shares(env_state, key, 2)]
+    def collect(policy, robots, key):
+        halves = [collect_all(policy, *each) for each in devices.shares(robots, key, 2)]
         (first, one), (second, other) = halves
         joined = jax.tree.map(lambda *rows: np.concatenate(rows), first, second)
         return joined, jax.tree.map(lambda *rows: np.concatenate(rows, axis=1), one, other)

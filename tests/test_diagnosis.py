@@ -15,7 +15,7 @@ from cassie_mjx.motion.files import load_motion
 from cassie_mjx.physics.mjx import MjxPhysics
 from cassie_mjx.physics.native import NativePhysics
 from cassie_mjx.physics.types import Scenario
-from cassie_mjx.ppo import learner
+from cassie_mjx.ppo import learner, rollout
 from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.ground import Ground, Terrain
@@ -42,7 +42,8 @@ def replayed(physics, robot_1_turns_at=0.0, scenario=PUSH):
     qvel[1, 3] += robot_1_turns_at
     state = replace(state, physics=physics.init(state.physics.qpos, qvel))
     policy = learner.init(jax.random.key(0), CONFIG, FULL.size, cassie.NU, 1).policy
-    return divergence.replay(env, CONFIG, policy, jax.tree.map(physics_array(physics), state), jax.random.key(1))
+    robots = rollout.begin(policy, jax.tree.map(physics_array(physics), state))
+    return divergence.replay(env, CONFIG, policy, robots, jax.random.key(1))
 
 
 def physics_array(physics):

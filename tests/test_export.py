@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import acting
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +22,7 @@ from cassie_mjx.agents.shipped import policy_path, shipped_policies
 from cassie_mjx.export import ExportConfig
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import stretch
-from cassie_mjx.ppo import learner, networks, normalizer
+from cassie_mjx.ppo import learner, normalizer
 from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.robot import cassie
 
@@ -60,7 +61,7 @@ def rewrite(path, **change):
 
 def test_numpy_acts_as_jax_does(policy, path, seen):
     saved = NumpyPolicy.load(path)
-    expected = np.asarray(networks.mode(policy, seen))
+    expected = np.asarray(acting.mode(policy, seen))
     assert np.abs(expected).max() > 0.5
     assert np.abs(saved(seen) - expected).max() < 1e-5
     assert saved(seen[0]).shape == (cassie.NU,)
@@ -69,7 +70,7 @@ def test_numpy_acts_as_jax_does(policy, path, seen):
 
 def test_the_learner_gets_the_same_policy_back(policy, path, seen):
     back = learner_policy(NumpyPolicy.load(path))
-    assert np.abs(np.asarray(networks.mode(back, seen)) - np.asarray(networks.mode(policy, seen))).max() < 1e-5
+    assert np.abs(np.asarray(acting.mode(back, seen)) - np.asarray(acting.mode(policy, seen))).max() < 1e-5
     assert jax.tree.structure(back) == jax.tree.structure(policy)
 
 

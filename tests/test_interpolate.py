@@ -12,6 +12,7 @@ from cassie_mjx.agents.make import make_agent, make_policy_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.policy_file import learner_policy, save_policy
 from cassie_mjx.agents.types import Sensed
+from cassie_mjx.control.law import LawCarry
 from cassie_mjx.control.path import Path
 from cassie_mjx.control.step import PolicyCarry
 from cassie_mjx.motion.files import load_motion
@@ -160,16 +161,16 @@ def test_the_filter_settles_exponentially():
     np.testing.assert_allclose(speed, 1.5 - 0.8 / np.e)
 
 
-NO_HISTORY = np.zeros((ROBOTS, 0, FULL.size), np.float32)
+NOTHING = LawCarry(np.zeros((ROBOTS, 0, FULL.size), np.float32), np.zeros((ROBOTS, 0), np.float32))
 
 
 def progress(phase, step, speed):
     steps, speeds = np.full(ROBOTS, step, np.int32), np.full(ROBOTS, speed, np.float32)
-    return Progress(phase, steps, speeds, (NO_HISTORY, NO_HISTORY))
+    return Progress(phase, steps, speeds, (NOTHING, NOTHING))
 
 
 def alone(path, phase, states):
-    target, _ = make_agent(str(path)).step(PolicyCarry(phase, NO_HISTORY, Path.world(ROBOTS)), Sensed(*states), None)
+    target, _ = make_agent(str(path)).step(PolicyCarry(phase, NOTHING, Path.world(ROBOTS)), Sensed(*states), None)
     return target
 
 

@@ -34,6 +34,15 @@ def test_samples_take_what_was_measured():
     assert difference == pytest.approx(597e6, rel=0.1)
 
 
+def test_what_a_gru_takes_besides_is_what_was_measured():
+    """At 64 units, the learner's update took 225 MB more for 126,976 samples of a GRU than of a perceptron."""
+    sizes = []
+    for network, robots in (("gru", 2048), ("gru", 64), ("mlp", 2048), ("mlp", 64)):
+        ppo = PPOConfig(network=network, num_robots=robots, num_steps=64, hidden_sizes=(64, 64))
+        sizes.append(memory.needed_bytes(ppo, WalkConfig(), "native", 500))
+    assert sizes[0] - sizes[1] - (sizes[2] - sizes[3]) == pytest.approx(225e6, rel=0.1)
+
+
 def test_wide_networks_count():
     wide = PPOConfig(hidden_sizes=(65_536, 65_536))
     assert memory.needed_bytes(wide, WalkConfig(), "native", 500) > 170 * GB

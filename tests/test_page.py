@@ -15,8 +15,8 @@ from cassie_mjx.agents import web_file
 from cassie_mjx.agents.controller import Controller
 from cassie_mjx.agents.shipped import existing_policy
 from cassie_mjx.control.command import toward
-from cassie_mjx.control.law import ControlLaw, canonicalize, decanonicalize, second_step
-from cassie_mjx.control.network import Network, action
+from cassie_mjx.control.law import ControlLaw, LawCarry, canonicalize, decanonicalize, second_step
+from cassie_mjx.control.network import action
 from cassie_mjx.control.observation import OBSERVATIONS, Observation, Seen
 from cassie_mjx.control.path import Path as WalkedPath
 from cassie_mjx.control.step import PolicyCarry, policy_step
@@ -103,14 +103,14 @@ def test_observation_mirror_network_and_torque_are_numpys(exported, controller):
     reference = sample(controller.motion, rng.integers(0, 44, 100))
     states = [{"state": of(state, k), "reference": of(reference, k)} for k in range(100)]
     found = node("control.mjs", {"policy": str(exported), "observed": states, "steps": [], "walk": [], "heights": []})
-    seen, network = Seen(*state, *reference), Network(policy.mean, policy.std, policy.clip, policy.weights)
+    seen, network = Seen(*state, *reference), policy.network
     observation, _ = law.observation.update(law.init(seen), seen)
     close(found["observed"], "observation", observation)
     close(found["observed"], "mirrored", law.observation.mirrored(observation))
-    close(found["observed"], "action", action(network, observation))
+    close(found["observed"], "action", action(network, observation, policy.start(100))[0])
     second = second_step(reference[0]) & law.symmetric
     assert second.any() == law.symmetric
-    acts = action(network, canonicalize(law.observation, observation, second))
+    acts, _ = action(network, canonicalize(law.observation, observation, second), policy.start(100))
     close(found["observed"], "residual", decanonicalize(acts, second))
     q, qdot = state[0][:, cassie.ACTIVE_QPOS], state[1][:, cassie.ACTIVE_QVEL]
     torque = policy.p_gain * (reference[0][:, :10] - q) - policy.d_gain * qdot
@@ -134,8 +134,8 @@ def test_a_control_step_is_numpys(exported, controller):
     ]
     found = node("control.mjs", {"policy": str(exported), "observed": [], "steps": steps, "walk": [], "heights": []})
     now = toward(motion, command, target, time, qvel)
-    network = Network(policy.mean, policy.std, policy.clip, policy.weights)
-    before = PolicyCarry(time, np.zeros((100, 0, 80)), WalkedPath(*place))
+    network = policy.network
+    before = PolicyCarry(time, LawCarry(np.zeros((100, 0, 80)), policy.start(100)), WalkedPath(*place))
     targets, after = policy_step(controller.law, motion, network, before, qpos, qvel, now)
     close(found["steps"], "targets", targets)
     carry = [step["carry"] for step in found["steps"]]

@@ -1,5 +1,6 @@
 """The learner's pure functions against numbers worked by hand, closed forms and NumPy."""
 
+import acting
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -103,8 +104,8 @@ def test_log_prob_is_that_of_a_gaussian():
 def test_samples_have_the_mean_and_spread_asked_for_and_their_own_log_density():
     policy = _policy(output_scale=1.0)
     observation = jnp.broadcast_to(jnp.array([1.0, -2.0, 0.5]), (100_000, 3))
-    action, log_prob = networks.sample(policy, observation, jax.random.key(1))
-    mean = networks.mode(policy, observation)
+    action, log_prob, _ = networks.sample(policy, observation, jnp.zeros((100_000, 0)), jax.random.key(1))
+    mean = acting.mode(policy, observation)
     np.testing.assert_allclose(action.mean(axis=0), mean[0], atol=0.01)
     np.testing.assert_allclose(action.std(axis=0), 0.5, rtol=0.01)
     assert abs(action).max() > 1.0  # the noise is not squashed
@@ -117,7 +118,7 @@ def test_layers_run_in_numpy():
     (w0, b0), (w1, b1), (w2, b2) = [(np.asarray(w), np.asarray(b)) for w, b in networks.layers(policy.actor)]
     x = np.clip(observation, -10.0, 10.0)  # a normaliser that has seen nothing only clips
     x = np.maximum(np.maximum(x @ w0 + b0, 0.0) @ w1 + b1, 0.0)
-    np.testing.assert_allclose(networks.mode(policy, jnp.asarray(observation)), np.tanh(x @ w2 + b2), rtol=1e-5)
+    np.testing.assert_allclose(acting.mode(policy, jnp.asarray(observation)), np.tanh(x @ w2 + b2), rtol=1e-5)
 
 
 def test_initial_weights_are_he_s_with_a_scaled_last_layer():

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import acting
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,7 +29,8 @@ def make_rollout(config: PPOConfig, state: learner.LearnerState, seed: int = 0) 
     """Noise in place of an environment: 5 inputs, 3 actions, one end in ten of either kind."""
     rng, shape = np.random.default_rng(seed), (config.num_steps, config.num_robots)
     observation = jnp.asarray(rng.normal(size=(*shape, 5)), jnp.float32)
-    action, log_prob = networks.sample(state.policy, observation, jax.random.key(seed))
+    hidden = jnp.zeros((*shape, 0))
+    action, log_prob, _ = networks.sample(state.policy, observation, hidden, jax.random.key(seed))
     return Rollout(
         observation=observation,
         action=action,
@@ -39,6 +41,7 @@ def make_rollout(config: PPOConfig, state: learner.LearnerState, seed: int = 0) 
         final_observation=jnp.asarray(rng.normal(size=(*shape, 5)), jnp.float32),
         privileged=jnp.asarray(rng.normal(size=(*shape, 2)), jnp.float32),
         final_privileged=jnp.asarray(rng.normal(size=(*shape, 2)), jnp.float32),
+        hidden=hidden,
         metrics={},
     )
 
@@ -59,7 +62,7 @@ def test_bandit_moves_towards_the_better_arm(best):
         pulls = pulls._replace(reward=reward, terminated=jnp.ones_like(pulls.terminated))
         state, _ = learner.update(config, state, pulls, jax.random.key(iteration))
     observation = jnp.asarray(np.random.default_rng(0).normal(size=(256, 5)), jnp.float32)
-    mean = networks.mode(state.policy, observation).mean(axis=0)
+    mean = acting.mode(state.policy, observation).mean(axis=0)
     assert (np.sign(best) * mean > 0.1).all()
 
 
@@ -136,7 +139,7 @@ def test_noise_goes_from_its_first_width_to_its_last():
     state, widths = learner.init(jax.random.key(0), config, 5, 3, 2), []
     for seed in range(3):
         lived = make_rollout(config, state, seed)
-        widths.append(float(jnp.std(lived.action - networks.mode(state.policy, lived.observation))))
+        widths.append(float(jnp.std(lived.action - acting.mode(state.policy, lived.observation))))
         state, _ = learner.update(config, state, lived, jax.random.key(seed))
     np.testing.assert_allclose([*widths, state.policy.std], [0.2, 0.15, 0.1, 0.1], rtol=0.15)
 

@@ -4,12 +4,13 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
+import acting
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cassie_mjx.ppo import learner, networks, rollout
+from cassie_mjx.ppo import learner, rollout
 from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.ppo.types import Rollout
 
@@ -80,15 +81,15 @@ LOOPS = ("scan", "host")
 def train(loop: str, seed: int) -> tuple[learner.LearnerState, list[learner.UpdateMetrics]]:
     init_key, reset_key, statistics_key, run_key = jax.random.split(jax.random.key(seed), 4)
     state = learner.init(init_key, CONFIG, 2, 2, 1)
-    env_state = RESET[loop](reset_key)
+    robots = rollout.begin(state.policy, RESET[loop](reset_key))
     normalizer = rollout.random_policy_statistics(
-        COLLECT[loop], state.policy, env_state, statistics_key, CONFIG.normalizer_samples
+        COLLECT[loop], state.policy, robots, statistics_key, CONFIG.normalizer_samples
     )
     state = state._replace(policy=state.policy._replace(normalizer=normalizer))
     history = []
     for iteration in range(CONFIG.iterations):
         collect_key, update_key = jax.random.split(jax.random.fold_in(run_key, iteration))
-        env_state, experience = COLLECT[loop](state.policy, env_state, collect_key)
+        robots, experience = COLLECT[loop](state.policy, robots, collect_key)
         state, metrics = learner.update(CONFIG, state, experience, update_key)
         history.append(metrics)
     return state, history
@@ -98,7 +99,8 @@ def train(loop: str, seed: int) -> tuple[learner.LearnerState, list[learner.Upda
 def rollouts() -> dict[str, Rollout]:
     # Louder than an untrained actor, so that episodes end in both ways.
     policy = learner.init(jax.random.key(0), replace(CONFIG, actor_output_scale=1.0), 2, 2, 1).policy
-    return {loop: COLLECT[loop](policy, RESET[loop](jax.random.key(1)), jax.random.key(2))[1] for loop in LOOPS}
+    start = {loop: rollout.begin(policy, RESET[loop](jax.random.key(1))) for loop in LOOPS}
+    return {loop: COLLECT[loop](policy, start[loop], jax.random.key(2))[1] for loop in LOOPS}
 
 
 def test_both_loops_live_the_same_rollout(rollouts):
@@ -153,8 +155,8 @@ def test_rollout_carries_the_density_of_its_actions_and_the_environments_metrics
 
 def test_statistics_of_the_random_policy_are_those_of_its_states():
     state = learner.init(jax.random.key(0), CONFIG, 2, 2, 1)
-    env_state = RESET["host"](jax.random.key(1))
-    normalizer = rollout.random_policy_statistics(COLLECT["host"], state.policy, env_state, jax.random.key(2), 100_000)
+    robots = rollout.begin(state.policy, RESET["host"](jax.random.key(1)))
+    normalizer = rollout.random_policy_statistics(COLLECT["host"], state.policy, robots, jax.random.key(2), 100_000)
     assert 100_000 <= normalizer.samples < 100_000 + CONFIG.num_samples
     # A start uniform on +-1 has variance 1/3; the noise adds (0.3 x 0.134)^2 a step over 0 to 11 steps, 5.5 on average.
     variance = 1 / 3 + 5.5 * (STRIDE * CONFIG.action_std) ** 2
@@ -166,7 +168,7 @@ def test_environment_of_another_width_is_refused():
     policy = learner.init(jax.random.key(0), CONFIG, 3, 2, 1).policy
     for loop in LOOPS:
         with pytest.raises(ValueError, match=r"observes 2 numbers a robot; this policy was made for 3\."):
-            COLLECT[loop](policy, RESET[loop](jax.random.key(1)), jax.random.key(2))
+            COLLECT[loop](policy, rollout.begin(policy, RESET[loop](jax.random.key(1))), jax.random.key(2))
 
 
 @pytest.mark.parametrize("loop", LOOPS)
@@ -175,7 +177,7 @@ def test_learner_drives_the_point_to_the_origin(loop):
     # The best an action within +-1 can do is to head straight for the origin, 0.3 a step and axis.
     best = _mean_reward(lambda position: np.clip(-position / STRIDE, -1.0, 1.0))
     untrained = _mean_reward(np.zeros_like)
-    trained = _mean_reward(partial(jax.jit(networks.mode), state.policy))
+    trained = _mean_reward(partial(jax.jit(acting.mode), state.policy))
     assert (trained - untrained) / (best - untrained) > 0.95
     assert history[-1].explained_variance > 0.3
     assert history[-1].terminated == 0.0

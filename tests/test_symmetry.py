@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import acting
 import jax
 import mujoco
 import numpy as np
@@ -78,7 +79,7 @@ def test_images_act_as_images(policy, path, states):
     seen: Any = np.asarray(observe(qpos, qvel, ahead, ahead_velocity))
     second = np.asarray(second_step(ahead))
     assert 10 < second.sum() < 40
-    mode = partial(networks.mode, policy)
+    mode = partial(acting.mode, policy)
     images = cassie.mirror_qpos(ahead)
     saved = NumpyPolicy.load(path)
     for act, mirrored_act in ((in_both_steps(mode, ahead), in_both_steps(mode, images)), (saved, saved)):
@@ -105,7 +106,7 @@ def states_of(env, act, delay):
 def test_a_policy_does_in_both_steps_what_it_learned_in_one(motion, policy, engine, speeds):
     delay = 3 if engine == "native" else 0
     physics = make_physics(engine, replace(MJX_TRAINING, physics_hz=500), max_delay=delay)
-    task, mode = WalkConfig(episode_steps=5), jax.jit(partial(networks.mode, policy))
+    task, mode = WalkConfig(episode_steps=5), jax.jit(partial(acting.mode, policy))
     trained = WalkEnv(physics, motion, replace(task, symmetric=True), 22, speeds)
     deployed = WalkEnv(physics, motion, replace(task, symmetric=False), 22, speeds)
     ended = 0

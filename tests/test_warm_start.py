@@ -4,6 +4,7 @@ import io
 import json
 from dataclasses import replace
 
+import acting
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.control.observation import OBSERVATIONS
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.envs.scenario import ScenarioConfig
-from cassie_mjx.ppo import networks, normalizer
+from cassie_mjx.ppo import normalizer
 from cassie_mjx.training import checkpoint
 from cassie_mjx.training.config import TrainConfig
 from cassie_mjx.training.runner import Runner
@@ -47,7 +48,7 @@ def test_a_run_starts_as_the_policy_it_is_given(first, tmp_path, named):
     begun = session(tmp_path, init=str(first if named == "directory" else path), seed=5)
     saved, policy = NumpyPolicy.load(path), begun.run.learner.policy
     seen = saved.mean + saved.std * np.random.default_rng(0).normal(size=(50, 80)).astype(np.float32)
-    np.testing.assert_allclose(networks.mode(policy, jnp.asarray(seen)), saved(seen), atol=1e-5)
+    np.testing.assert_allclose(acting.mode(policy, jnp.asarray(seen)), saved(seen), atol=1e-5)
     assert float(policy.normalizer.samples) == saved.samples
 
 
@@ -61,7 +62,7 @@ def test_it_takes_the_input_statistics_of_its_own_task_and_stays_the_same_policy
     inside = before.normalizer.mean + normalizer.std(before.normalizer) * np.random.default_rng(0).normal(size=(50, 80))
     inside = jnp.asarray(inside, jnp.float32)
     within = np.abs(np.asarray(normalizer.normalize(after.normalizer, inside))).max(axis=1) < normalizer.CLIP
-    ours, theirs = (np.asarray(networks.mode(policy, inside))[within] for policy in (after, before))
+    ours, theirs = (np.asarray(acting.mode(policy, inside))[within] for policy in (after, before))
     np.testing.assert_allclose(ours, theirs, atol=1e-4)
     assert np.abs(normalizer.normalize(after.normalizer, seen)).max() < normalizer.CLIP
 

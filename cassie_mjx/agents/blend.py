@@ -11,6 +11,7 @@ from cassie_mjx.agents.blending import SCHEDULES, Progress
 from cassie_mjx.agents.delegating import Delegating
 from cassie_mjx.agents.policy import PolicyAgent
 from cassie_mjx.agents.types import Sensed
+from cassie_mjx.control.network import start
 from cassie_mjx.control.observation import Seen
 from cassie_mjx.control.step import PolicyCarry
 from cassie_mjx.motion.command import Command
@@ -48,8 +49,8 @@ class BlendAgent(Delegating[PolicyAgent]):
     def init(self, sensed: Sensed) -> Progress:
         """See `Agent.init`."""
         zeros = np.zeros(len(sensed.qpos), np.int32)
-        sensing = tuple(policy.init(sensed).sensing for policy in self.policies)
-        return Progress(zeros, zeros, np.full(len(zeros), self.speeds[0], np.float32), sensing)
+        laws = tuple(policy.init(sensed).law for policy in self.policies)
+        return Progress(zeros, zeros, np.full(len(zeros), self.speeds[0], np.float32), laws)
 
     def step(self, carry: Progress, sensed: Sensed, command: Command | None) -> tuple[Array, Progress]:
         """See `Agent.step`: its speed is the schedule's."""
@@ -60,9 +61,11 @@ class BlendAgent(Delegating[PolicyAgent]):
         return carry
 
     def take_over(self, carry: PolicyCarry) -> Progress:
-        """See `Agent.take_over`: every policy has sensed what the first one has."""
-        speed = np.full(len(carry.time), self.speeds[0], np.float32)
-        return Progress(carry.time, 0 * carry.time, speed, (carry.sensing,) * len(self.policies))
+        """See `Agent.take_over`: every policy has sensed what the first one has, whose network alone remembers it."""
+        robots = len(carry.time)
+        speed = np.full(robots, self.speeds[0], np.float32)
+        others = (carry.law._replace(hidden=start(policy.network, robots)) for policy in self.policies[1:])
+        return Progress(carry.time, 0 * carry.time, speed, (carry.law, *others))
 
     def position(self, carry: Progress) -> Array:
         """Where along the chain robots are, [B], 0 for the first policy."""
@@ -72,12 +75,12 @@ class BlendAgent(Delegating[PolicyAgent]):
         forward = sensed.qvel[:, cassie.PELVIS_VELOCITY[0]]
         carry = replace(carry, speed=blending.filtered(carry.speed, forward))
         ahead = carry.phase + 1
-        residuals, sensing = [], []
-        for policy, own in zip(self.policies, carry.sensing, strict=True):
+        residuals, laws = [], []
+        for policy, own in zip(self.policies, carry.laws, strict=True):
             seen = Seen(sensed.qpos, sensed.qvel, *sample(policy.motion, ahead))
             residual, own = policy.law.act(policy.network, own, seen)
             residuals.append(residual)
-            sensing.append(own)
+            laws.append(own)
         target = blending.pd_target(residuals, self.motions, self.position(carry), ahead)
         phase = ahead % self.stride_acts
-        return target, replace(carry, phase=phase, step=carry.step + 1, sensing=tuple(sensing))
+        return target, replace(carry, phase=phase, step=carry.step + 1, laws=tuple(laws))

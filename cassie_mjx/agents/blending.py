@@ -21,7 +21,7 @@ from typing import TypeAlias
 import jax
 import numpy as np
 
-from cassie_mjx.control.law import target
+from cassie_mjx.control.law import LawCarry, target
 from cassie_mjx.motion.reference import RAMP_PER_S, ReferenceMotion, mix_qpos, sample
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array, namespace
@@ -45,13 +45,13 @@ class Progress:
       phase: sample of the stride, [B], int32, 0 to N - 1.
       step: control steps since the schedule began, [B], int32.
       speed: velocity of the pelvis along x, `filtered`, [B], m/s.
-      sensing: of each policy's observation, [B, H - 1, F].
+      laws: of each policy's observation and network.
     """
 
     phase: Array
     step: Array
     speed: Array
-    sensing: tuple[Array, ...] = ()
+    laws: tuple[LawCarry, ...] = ()
 
 
 Schedule: TypeAlias = Callable[[Progress, Sequence[float]], Array]

@@ -14,7 +14,6 @@ from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.saved_law import control_law
 from cassie_mjx.agents.shipped import load_policy
 from cassie_mjx.control.command import toward
-from cassie_mjx.control.network import Network
 from cassie_mjx.control.step import begin, policy_step
 from cassie_mjx.motion.command import STAND, Command
 from cassie_mjx.motion.reference import ReferenceMotion, mean_speed
@@ -157,7 +156,7 @@ class Controller:
         self.policy, self.joints, self.law = policy, joints or Joints.own(), control_law(policy)
         stride_length = np.asarray(policy.reference_stride_length)
         self.motion = ReferenceMotion(policy.reference_qpos, policy.reference_qvel, stride_length)
-        self._network = Network(policy.mean, policy.std, policy.clip, policy.weights)
+        self._network = policy.network
         self.reset()
 
     @classmethod
@@ -200,7 +199,7 @@ class Controller:
         own_qpos[0, self.joints.own_qpos] = np.asarray(qpos)[self.joints.qpos]
         own_qpos[0, cassie.PELVIS_POSITION] += self.joints.origin
         own_qvel[0, self.joints.own_qvel] = np.asarray(qvel)[self.joints.qvel]
-        carry = self._carry or begin(self.law, self.motion, np.zeros(1, np.int32), own_qpos, own_qvel)
+        carry = self._carry or begin(self.law, self.motion, self._network, np.zeros(1, np.int32), own_qpos, own_qvel)
         if command is not None:
             last = self._told or Command.ahead(np.full(1, mean_speed(self.motion)))
             self._told = toward(self.motion, last, _command(command), carry.time, own_qvel)

@@ -1,7 +1,8 @@
 """A saved policy that runs on NumPy alone, and the file that it comes from: one .npz, nothing in it pickled.
 
 The file holds everything between a state of the robot and the PD targets: weights, input statistics, reference motion,
-joint names, gains, the layout of the observation and, for a policy that learned one step, its mirror.
+joint names, gains, the layout of the observation and, for a policy that learned one step, its mirror. `network` says
+what the weights are of; a recurrent one has those of its GRU besides.
 """
 
 import re
@@ -14,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cassie_mjx.control.network import KIND, Network, action
+from cassie_mjx.control.network import KIND, RECURRENT_KIND, Gru, Network, action, start
 from cassie_mjx.files import archive
 from cassie_mjx.robot import cassie
 
@@ -47,6 +48,8 @@ class Mirror(NamedTuple):
         return (observation[..., left] < observation[..., right])[..., None]
 
 
+GRU_ARRAYS = tuple(f"gru_{name}" for name in Gru._fields)
+"""Arrays that the file of a recurrent policy has besides."""
 MIRROR_ARRAYS = tuple(f"mirror_{name}" for name in Mirror._fields)
 """Arrays that the file of a policy with a mirror has besides."""
 
@@ -55,6 +58,7 @@ MIRROR_ARRAYS = tuple(f"mirror_{name}" for name in Mirror._fields)
 class NumpyPolicy:
     """A saved policy: `policy(observation)` is its deterministic action. Make one with `NumpyPolicy.load(path)`.
 
+    A recurrent one remembers: begin with `policy.start(robots)`, and `policy.step(observation, hidden)` from then on.
     Every 32 ms, hold the PD targets `reference_qpos[(phase + 1) % N, active joints] + action`.
     """
 
@@ -92,12 +96,42 @@ class NumpyPolicy:
     """[4, 2], least and greatest forward velocity, lateral velocity (m/s, left positive), yaw rate (rad/s, left
     positive) and standing (0 or 1) that it learned to follow; [3, 2] of a file from before robots stood; None of one
     that is older than this entry."""
+    gru: Gru | None = None
+    """What a recurrent policy has before its weights, float32."""
+
+    @property
+    def network(self) -> Network:
+        """The actor, as `control.network` runs it."""
+        return Network(self.mean, self.std, self.clip, self.weights, self.gru)
+
+    @property
+    def kind(self) -> str:
+        """What kind of network it has."""
+        return KIND if self.gru is None else RECURRENT_KIND
+
+    def start(self, robots: int) -> np.ndarray:
+        """What it carries of robots that begin to walk, [robots, N]; N is 0 unless it is recurrent."""
+        return start(self.network, robots)
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Return the residuals on the reference angles of the active joints, rad, [10] or [B, 10].
 
         Args:
           observation: [80] or [B, 80], as `self.observation` describes it.
+
+        Raises:
+          ValueError: another number of inputs, or the policy is recurrent.
+        """
+        if self.gru is not None:
+            raise ValueError("The policy is recurrent; call policy.step(observation, hidden), first with policy.start.")
+        return self.step(observation, self.start(1)[0])[0]
+
+    def step(self, observation: np.ndarray, hidden: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the residuals as a call does, and what to give the next step as `hidden`.
+
+        Args:
+          observation: [80] or [B, 80], as `self.observation` describes it.
+          hidden: [N] or [B, N], of `start` or the last step.
 
         Raises:
           ValueError: another number of inputs.
@@ -108,13 +142,10 @@ class NumpyPolicy:
                 f"An observation of shape {x.shape} was given; this policy takes {len(self.mean)} numbers."
             )
         if self.mirror is None:
-            return self._mode(x)
+            return action(self.network, x, hidden)
         second = self.mirror.second_step(x)
-        residual = self._mode(np.where(second, _reflected(x, self.mirror.observation), x))
-        return np.where(second, _reflected(residual, self.mirror.action), residual)
-
-    def _mode(self, x: np.ndarray) -> np.ndarray:
-        return action(Network(self.mean, self.std, self.clip, self.weights), x)
+        residual, hidden = action(self.network, np.where(second, _reflected(x, self.mirror.observation), x), hidden)
+        return np.where(second, _reflected(residual, self.mirror.action), residual), hidden
 
     @classmethod
     def load(cls, path: str | Path) -> "NumpyPolicy":
@@ -126,9 +157,9 @@ class NumpyPolicy:
         """
         found = archive.read(Path(path), FORMAT)
         _check_names(found.arrays, Path(path))
-        network = str(found.arrays.get("network", _FIRST_KIND))
-        if network != KIND:
-            raise ValueError(f"The network of {path} is a {network}; this version runs a {KIND} alone.")
+        network = _kind(found.arrays)
+        if network not in (KIND, RECURRENT_KIND):
+            raise ValueError(f"The network of {path} is a {network}; this version runs a {KIND} or a {RECURRENT_KIND}.")
         try:
             policy = cls(**_fields(found.arrays), provenance=found.provenance)
         except ValueError as error:
@@ -148,11 +179,17 @@ def _reflected(values: np.ndarray, places: np.ndarray) -> np.ndarray:
     return values[..., abs(places).astype(int) - 1] * np.sign(places).astype(values.dtype)
 
 
+def _kind(content: Mapping[str, np.ndarray]) -> str:
+    """What a file says that its network is."""
+    return str(content.get("network", _FIRST_KIND))
+
+
 def _check_names(content: Mapping[str, np.ndarray], path: Path) -> None:
     """Raise ValueError unless a file has the arrays of a policy, and no others."""
     expected = {"layers", *_ARRAYS, *_NUMBERS, *_LISTS}
     expected |= {f"{kind}_{i}" for kind in ("weight", "bias") for i in range(_layers(content))}
     expected |= {"network", "commands"} & content.keys()
+    expected |= set(GRU_ARRAYS) if _kind(content) == RECURRENT_KIND else set()
     expected |= set(MIRROR_ARRAYS) if set(MIRROR_ARRAYS) & content.keys() else set()
     if content.keys() != expected:
         raise ValueError(f"{path} is damaged: {', '.join(sorted(expected ^ content.keys()))} missing or too much.")
@@ -175,6 +212,8 @@ def _fields(content: dict[str, np.ndarray]) -> dict[str, Any]:
             raise ValueError(f"{name} is to be at least 0")
     if "commands" in content:
         fields["commands"] = _array(content, "commands")
+    if GRU_ARRAYS[0] in content:
+        fields["gru"] = Gru(*(_array(content, name) for name in GRU_ARRAYS))
     if MIRROR_ARRAYS[0] in content:
         fields["mirror"] = Mirror(*(_integers(content, name) for name in MIRROR_ARRAYS))
     return fields
@@ -224,11 +263,16 @@ def _check_fit(policy: NumpyPolicy, path: Path) -> None:
     last = re.match(r"[0-9]+:([0-9]{1,9}) ", policy.observation[-1]) if policy.observation else None
     widths = [int(last[1]) if last else 0, *(bias.size for _, bias in policy.weights)]
     inputs, outputs = widths[0], widths[-1]
+    remembered = policy.gru.recurrent_bias.size if policy.gru else 0
+    if policy.gru:
+        widths[0] = remembered
+    gru_shapes = (inputs, 3 * remembered), (remembered, 3 * remembered), (3 * remembered,), (remembered,)
     layers = list(zip(policy.weights, pairwise(widths), strict=True))
     known = 3 if policy.commands is not None and len(policy.commands) == 3 else 4
     for name, array, shape in (
         ("mean", policy.mean, (inputs,)),
         ("std", policy.std, (inputs,)),
+        *(zip(GRU_ARRAYS, policy.gru, gru_shapes, strict=True) if policy.gru else ()),
         *((f"weight_{i}", weight, shape) for i, ((weight, _), shape) in enumerate(layers)),
         *((f"bias_{i}", bias, shape[1:]) for i, ((_, bias), shape) in enumerate(layers)),
         *((("commands", policy.commands, (known, 2)),) if policy.commands is not None else ()),

@@ -9,6 +9,7 @@ are JSON, and no digit is dropped.
 
 import json
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,16 @@ import numpy as np
 
 from cassie_mjx.agents.numpy_policy import FORMAT, NumpyPolicy
 from cassie_mjx.cli.origin import version_of
-from cassie_mjx.control.network import KIND
+from cassie_mjx.control.network import KIND, Gru
 from cassie_mjx.files.archive import VERSION
 from cassie_mjx.files.atomic import write_bytes
 from cassie_mjx.robot import cassie
 
 OPSET, IR_VERSION = 17, 8
 """Of 2022: what any runtime of today reads."""
+
+HIDDEN, NEXT = "hidden", "next_hidden"
+"""What a recurrent policy is given of its last step, and gives for its next."""
 
 PRODUCER = "cassie-mjx"
 """What a file says of who wrote it."""
@@ -38,12 +42,15 @@ USAGE = (
     "One that learned to be steered ('commands': least and greatest forward and lateral velocity, m/s, and yaw rate, "
     "rad/s, left positive) has the lateral velocity added to the reference's pelvis y velocity and the yaw rate about "
     "the vertical to its angular velocity; position, orientation and velocity of the robot's pelvis are then those in "
-    "the frame of a path that the yaw rate turns about the robot and that the lateral velocity moves to the left."
+    "the frame of a path that the yaw rate turns about the robot and that the lateral velocity moves to the left. "
+    "Where there is an input 'hidden', it is 0 as a walk begins, and from then on 'next_hidden' of the last step."
 )
 
 
 def save_onnx(path: Path, policy: NumpyPolicy, source: str) -> None:
     """Write a policy as ONNX, whole or not at all: `observation` [batch, O] to `action` [batch, 10], both float32.
+
+    A recurrent policy's file has `hidden` [batch, N] besides and gives `next_hidden`.
 
     Args:
       path: ends in .onnx.
@@ -149,7 +156,7 @@ class _Graph:
 
 
 def _graph(onnx: Any, policy: NumpyPolicy) -> Any:
-    graph, mirror = _Graph(onnx), policy.mirror
+    graph, mirror, cell = _Graph(onnx), policy.mirror, policy.gru
     if mirror is None:
         _network(graph, policy, "observation", "action")
     else:
@@ -160,22 +167,41 @@ def _graph(onnx: Any, policy: NumpyPolicy) -> Any:
         learned = _network(graph, policy, canonical, "canonical_action")
         action_image = graph.reflected(learned, mirror.action, "action_image")
         graph.add("Where", [second, action_image, learned], "action")
-    ends = [
-        onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, ["batch", size])
-        for name, size in (("observation", len(policy.mean)), ("action", len(policy.joints)))
-    ]
-    return onnx.helper.make_graph(graph.nodes, "policy", ends[:1], ends[1:], graph.constants)
+    taken, given = {"observation": len(policy.mean)}, {"action": len(policy.joints)}
+    if cell is not None:
+        taken, given = (sizes | {name: len(cell.recurrent_bias)} for sizes, name in ((taken, HIDDEN), (given, NEXT)))
+    tensor = partial(onnx.helper.make_tensor_value_info, elem_type=onnx.TensorProto.FLOAT)
+    ends = [[tensor(name, shape=["batch", size]) for name, size in each.items()] for each in (taken, given)]
+    return onnx.helper.make_graph(graph.nodes, "policy", *ends, graph.constants)
 
 
 def _network(graph: _Graph, policy: NumpyPolicy, x: str, output: str) -> str:
-    """`control.network.action`: normalise, bound, the perceptron, tanh."""
+    """`control.network.action`: normalise, bound, the memory if there is one, the perceptron, tanh."""
     x = graph.add("Sub", [x, graph.constant("mean", policy.mean)], "centred")
     x = graph.add("Div", [x, graph.constant("std", policy.std)], "scaled")
     bounds = [graph.constant("lowest", -policy.clip), graph.constant("highest", policy.clip)]
     x = graph.add("Clip", [x, *bounds], "normalised")
+    if policy.gru is not None:
+        x = _remembered(graph, policy.gru, x)
     for i, (weight, bias) in enumerate(policy.weights):
         parameters = [graph.constant(f"weight_{i}", weight), graph.constant(f"bias_{i}", bias)]
         x = graph.add("Gemm", [x, *parameters], f"layer_{i}")
         if i < len(policy.weights) - 1:
             x = graph.add("Relu", [x], f"hidden_{i}")
     return graph.add("Tanh", [x], output)
+
+
+def _remembered(graph: _Graph, gru: Gru, x: str) -> str:
+    """`control.network.remember`: ONNX's GRU for one step, in one direction."""
+    size = len(gru.recurrent_bias)
+    first = graph.constant("first_axis", [0], np.int64)
+    sequence, carried = (graph.add("Unsqueeze", [each, first], f"{each}_of_one") for each in (x, HIDDEN))
+    weights = [
+        graph.constant(f"gru_{name}", matrix.T[None])
+        for name, matrix in (("kernel", gru.kernel), ("recurrent", gru.recurrent))
+    ]
+    # The gates' second biases are 0: they would only add to the first.
+    bias = graph.constant("gru_bias", np.concatenate([gru.bias, np.zeros(2 * size), gru.recurrent_bias])[None])
+    inputs = [sequence, *weights, bias, "", carried]
+    given = graph.add("GRU", inputs, "gru", hidden_size=size, linear_before_reset=1)
+    return graph.add("Squeeze", [given, graph.constant("sequence_and_direction", [0, 1], np.int64)], NEXT)

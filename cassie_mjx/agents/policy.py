@@ -54,7 +54,7 @@ class PolicyAgent:
         self.kd_scale, self.provenance = kd_scale, provenance or {}
         bound = partial(policy_step, law, motion, network)
         self._step = jax.jit(bound) if step is None else partial(step, network)
-        self._begin = jax.jit(partial(begin, law, motion))
+        self._begin = jax.jit(partial(begin, law, motion, network))
 
     @property
     def lead(self) -> "PolicyAgent":

@@ -10,10 +10,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from cassie_mjx.agents.numpy_policy import FORMAT, MIRROR_ARRAYS, NumpyPolicy
+from cassie_mjx.agents.numpy_policy import FORMAT, GRU_ARRAYS, MIRROR_ARRAYS, NumpyPolicy
 from cassie_mjx.agents.saved_law import control_law, file_mirror
 from cassie_mjx.control.law import ControlLaw
-from cassie_mjx.control.network import KIND
+from cassie_mjx.control.network import KIND, RECURRENT_KIND
 from cassie_mjx.files import archive
 from cassie_mjx.motion.reference import ReferenceMotion, mean_speed
 from cassie_mjx.ppo import networks, normalizer
@@ -61,11 +61,13 @@ def save_policy(
 def _network_arrays(policy: Policy) -> dict[str, Any]:
     """The actor and its input statistics, as a policy file has them."""
     layers, statistics = networks.layers(policy.actor), policy.normalizer
+    gru = networks.gru(policy.actor)
     return {
+        **(dict(zip(GRU_ARRAYS, gru, strict=True)) if gru else {}),
         **{f"weight_{i}": weight for i, (weight, _) in enumerate(layers)},
         **{f"bias_{i}": bias for i, (_, bias) in enumerate(layers)},
         "layers": len(layers),
-        "network": KIND,
+        "network": KIND if gru is None else RECURRENT_KIND,
         "mean": statistics.mean,
         "std": normalizer.std(statistics),
         "clip": normalizer.CLIP,
@@ -115,6 +117,9 @@ def learner_policy(saved: NumpyPolicy) -> Policy:
         )
     names = [*(f"hidden_{i}" for i in range(len(saved.weights) - 1)), "output"]
     layers = [{"kernel": jnp.asarray(weight), "bias": jnp.asarray(bias)} for weight, bias in saved.weights]
+    actor = dict(zip(names, layers, strict=True))
+    if saved.gru:
+        actor[networks.GRU] = {name: jnp.asarray(array) for name, array in saved.gru._asdict().items()}
     squares = jnp.asarray(np.square(saved.std) * saved.samples)
     statistics = Normalizer(jnp.asarray(saved.samples, jnp.float32), jnp.asarray(saved.mean), squares)
-    return Policy(statistics, dict(zip(names, layers, strict=True)), std=jnp.zeros(()))
+    return Policy(statistics, actor, std=jnp.zeros(()))

@@ -16,7 +16,6 @@ from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.saved_law import control_law
 from cassie_mjx.control import command, path
 from cassie_mjx.control.law import ControlLaw
-from cassie_mjx.control.network import KIND
 from cassie_mjx.control.observation import Seen
 from cassie_mjx.files.atomic import write_text
 from cassie_mjx.motion.reference import QUATERNIONS, RAMP_PER_S, ReferenceMotion, mean_speed
@@ -47,8 +46,8 @@ def save_web(file: Path, policy: NumpyPolicy, name: str) -> None:
 
 def content(policy: NumpyPolicy, name: str) -> dict[str, Any]:
     """What the file says, as JSON has it. Raises ValueError as `save_web` does."""
-    if KIND != "perceptron, ReLU":
-        raise ValueError(f"The page runs a perceptron, ReLU; teach `page/src/control/law.js` a {KIND}.")
+    if policy.kind != "perceptron, ReLU":
+        raise ValueError(f"The page runs a perceptron, ReLU; teach `page/src/control/law.js` a {policy.kind}.")
     law = control_law(policy)
     motion = ReferenceMotion(policy.reference_qpos, policy.reference_qvel, np.asarray(policy.reference_stride_length))
     permutation, sign = law.observation.mirror

@@ -5,11 +5,22 @@ active joints; the sum is the PD target. Training, evaluation, blends, `NumpyPol
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from cassie_mjx.control.network import Network, action
+from cassie_mjx.control.network import Network, action, start
 from cassie_mjx.control.observation import OBSERVATIONS, Observation, Seen
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array, namespace
+
+
+class LawCarry(NamedTuple):
+    """What a law and a network at work carry from step to step."""
+
+    sensing: Array
+    """Of the observation, [B, H - 1, F]."""
+    hidden: Array
+    """Of the network, [B, N]. A symmetric policy's goes on as it is from step to step of the stride: the network has
+    only ever seen the first step, so what it remembers has no mirror image."""
 
 
 @dataclass(frozen=True)
@@ -21,8 +32,12 @@ class ControlLaw:
     """Whether the policy learned the first of the stride's two steps alone, and takes the second as in a mirror."""
 
     def init(self, seen: Seen) -> Array:
-        """The carry of robots that have always seen this; see `Observation.init`."""
+        """The observation's carry of robots that have always seen this; see `Observation.init`."""
         return self.observation.init(seen)
+
+    def begin(self, network: Network, seen: Seen) -> LawCarry:
+        """The carry of robots that have always seen this, and of which the network remembers nothing."""
+        return LawCarry(self.init(seen), start(network, len(seen.qpos)))
 
     def observe(self, carry: Array, seen: Seen, noise: Array | float = 0.0) -> tuple[Array, Array]:
         """What the policy acts on, [B, O], in a mirror if it is symmetric and this is the second step; the next carry.
@@ -43,10 +58,11 @@ class ControlLaw:
         """
         return decanonicalize(action, second_step(reference_qpos)) if self.symmetric else action
 
-    def act(self, network: Network, carry: Array, seen: Seen) -> tuple[Array, Array]:
+    def act(self, network: Network, carry: LawCarry, seen: Seen) -> tuple[Array, LawCarry]:
         """Residuals [B, 10], rad, of a deterministic policy, and the next carry."""
-        observation, carry = self.observe(carry, seen)
-        return self.residual(seen.reference_qpos, action(network, observation)), carry
+        observation, sensing = self.observe(carry.sensing, seen)
+        acted, hidden = action(network, observation, carry.hidden)
+        return self.residual(seen.reference_qpos, acted), LawCarry(sensing, hidden)
 
 
 def target(reference_qpos: Array, residual: Array) -> Array:

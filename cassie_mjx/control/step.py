@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from cassie_mjx.control.command import onward
-from cassie_mjx.control.law import ControlLaw, target
+from cassie_mjx.control.law import ControlLaw, LawCarry, target
 from cassie_mjx.control.network import Network
 from cassie_mjx.control.observation import Seen
 from cassie_mjx.control.path import Path, bend_beside, into, stay_beside
@@ -18,16 +18,18 @@ class PolicyCarry(NamedTuple):
 
     time: Array
     """Control step of the motion that it is at, [B], int32."""
-    sensing: Array
-    """Of the observation, [B, H - 1, F]."""
+    law: LawCarry
+    """Of the observation and of the network."""
     path: Path
     """Where the path that it walks along lies in the world, leaves [B]; it begins as the world's x axis."""
 
 
-def begin(law: ControlLaw, motion: ReferenceMotion, time: Array, qpos: Array, qvel: Array) -> PolicyCarry:
+def begin(
+    law: ControlLaw, motion: ReferenceMotion, network: Network, time: Array, qpos: Array, qvel: Array
+) -> PolicyCarry:
     """The carry of robots at qpos [B, 35] and qvel [B, 32] that begin at control steps `time` [B] of the motion."""
     seen = Seen(qpos, qvel, *sample(motion, time + 1))
-    return PolicyCarry(time, law.init(seen), Path.world(len(time)))
+    return PolicyCarry(time, law.begin(network, seen), Path.world(len(time)))
 
 
 def policy_step(
@@ -56,8 +58,8 @@ def policy_step(
         path, later = stay_beside(path, command, now, qpos, qvel), onward(motion, carry.time, command)
     qpos, qvel = into(path, qpos, qvel)
     ahead = sample(motion, later, command)
-    residual, sensing = law.act(network, carry.sensing, Seen(qpos, qvel, *ahead, command))
+    residual, remembered = law.act(network, carry.law, Seen(qpos, qvel, *ahead, command))
     if command is not None:
         path = bend_beside(path, command, now, ahead[0], qpos[:, PELVIS_X])
     time = later % motion.qpos.shape[0] if motion.periodic else later
-    return target(ahead[0], residual), PolicyCarry(time, sensing, path)
+    return target(ahead[0], residual), PolicyCarry(time, remembered, path)

@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar
 
 from cassie_mjx.configuration.values import Checked, Range, shown
 
+NETWORKS = ("mlp", "gru")
 SCHEDULES = ("constant", "linear", "cosine", "exponential")
 
 
@@ -26,7 +27,11 @@ class PPOConfig(Checked):
         ValueError: a value is out of its range; the message names the field, the value and the range.
     """
 
-    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {"actor_schedule": SCHEDULES, "critic_schedule": SCHEDULES}
+    CHOICES: ClassVar[Mapping[str, Sequence[str]]] = {
+        "network": NETWORKS,
+        "actor_schedule": SCHEDULES,
+        "critic_schedule": SCHEDULES,
+    }
 
     num_robots: Annotated[int, Range(1, 1_000_000)] = 128
     """Robots that step side by side, over all devices."""
@@ -43,8 +48,12 @@ class PPOConfig(Checked):
     minibatch_size: Annotated[int, Range(1, 1_000_000_000)] = 512
     """Samples in one minibatch, over all devices."""
 
+    network: str = "mlp"
+    """What the actor is: "mlp", ReLU layers; "gru", which remembers: a gated recurrent unit in place of the first of
+    them, trained through the `num_steps` of each robot. The critic is "mlp" either way."""
+
     hidden_sizes: tuple[Annotated[int, Range(1, 65_536)], ...] = (256, 256)
-    """Widths of the ReLU layers, the same for actor and critic (*paper*)."""
+    """Widths of the ReLU layers, the same for actor and critic (*paper*); the first is that of a GRU too."""
 
     privileged_critic: bool = True
     """Whether the critic sees what robots do not sense: how far they are ahead of the reference motion."""
@@ -124,6 +133,17 @@ class PPOConfig(Checked):
             raise ValueError(
                 f"minibatch_size={self.minibatch_size} must be at most num_robots x num_steps = {self.num_samples}."
             )
+
+        if self.minibatch_size % self.sequence_steps:
+            raise ValueError(
+                f"minibatch_size={self.minibatch_size} must be a multiple of num_steps={self.num_steps} with "
+                "network=gru, which learns from whole sequences."
+            )
+
+    @property
+    def sequence_steps(self) -> int:
+        """Control steps of one robot that stay together in a minibatch."""
+        return self.num_steps if self.network == "gru" else 1
 
     @property
     def num_samples(self) -> int:

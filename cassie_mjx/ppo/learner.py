@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from cassie_mjx.ppo import loss, networks, normalizer
 from cassie_mjx.ppo.advantage import average, generalized_advantage, standardize
@@ -34,12 +34,16 @@ class _Losses(NamedTuple):
 
 
 class _Batch(NamedTuple):
-    inputs: Float[Array, "N O"]
-    critic_inputs: Float[Array, "N C"]
-    action: Float[Array, "N A"]
-    log_prob: Float[Array, " N"]
-    advantage: Float[Array, " N"]
-    value_target: Float[Array, " N"]
+    """Axis S are samples, in any order; of a recurrent actor two axes, robots and their control steps."""
+
+    inputs: Float[Array, "*S O"]
+    critic_inputs: Float[Array, "*S C"]
+    action: Float[Array, "*S A"]
+    log_prob: Float[Array, "*S"]
+    advantage: Float[Array, "*S"]
+    value_target: Float[Array, "*S"]
+    hidden: Float[Array, "*S N"]
+    ended: Bool[Array, "*S"]
 
 
 def init(
@@ -55,7 +59,8 @@ def init(
     if observation_size < 1 or action_size < 1:
         raise ValueError(f"Sizes must be at least 1, not {observation_size} (observation) and {action_size} (action).")
     actor_key, critic_key = jax.random.split(key)
-    actor = networks.init(actor_key, observation_size, config.hidden_sizes, action_size, config.actor_output_scale)
+    draw = networks.init_recurrent if config.network == "gru" else networks.init
+    actor = draw(actor_key, observation_size, config.hidden_sizes, action_size, config.actor_output_scale)
     critic_size = observation_size + config.privileged_critic * privileged_size
     critic = networks.init(critic_key, critic_size, config.hidden_sizes, 1)
     return LearnerState(
@@ -100,7 +105,8 @@ def update(
     def train_on(state: LearnerState, rows: Int[Array, " M"]) -> tuple[LearnerState, _Losses]:
         return _train(config, state, jax.tree.map(lambda x: x[rows], batch), rates, axis_name)
 
-    rows = _shuffled_rows(key, batch.log_prob.shape[0], config.updates_per_iteration, config.minibatch_size // devices)
+    size = config.minibatch_size // (config.sequence_steps * devices)
+    rows = _shuffled_rows(key, batch.log_prob.shape[0], config.updates_per_iteration, size)
     trained, losses = jax.lax.scan(train_on, state, rows)
     log_prob = _log_prob(trained.policy, batch)
     local = {
@@ -127,6 +133,11 @@ def check_devices(config: PPOConfig, devices: int) -> None:
     for name in ("num_robots", "minibatch_size"):
         if getattr(config, name) % devices:
             raise ValueError(f"{name} is {getattr(config, name)}; it must be a multiple of the {devices} devices.")
+    if config.minibatch_size % (devices * config.sequence_steps):
+        raise ValueError(
+            f"minibatch_size is {config.minibatch_size}; for network=gru it must be a multiple of num_steps="
+            f"{config.num_steps} on each of the {devices} devices."
+        )
 
 
 def learning_rates(config: PPOConfig, state: LearnerState) -> LearningRates:
@@ -181,8 +192,16 @@ def _prepare(
     explained_variance = loss.explained_variance(value, value_target, axis_name)
     if config.normalize_advantage:
         advantage = standardize(advantage, axis_name)
-    batch = _Batch(inputs, critic_inputs, rollout.action, rollout.log_prob, advantage, value_target)
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), batch), explained_variance
+    ended = rollout.terminated | rollout.truncated
+    lived = rollout.action, rollout.log_prob, advantage, value_target, rollout.hidden, ended
+    return _rows(config, _Batch(inputs, critic_inputs, *lived)), explained_variance
+
+
+def _rows(config: PPOConfig, batch: _Batch) -> _Batch:
+    """What minibatches are drawn from, first axis: samples, or robots with all their control steps."""
+    if config.network == "gru":
+        return jax.tree.map(lambda x: x.swapaxes(0, 1), batch)
+    return jax.tree.map(lambda x: x.reshape(x.shape[0] * x.shape[1], *x.shape[2:]), batch)
 
 
 def _rollout_metrics(rollout: Rollout) -> dict[str, Float[Array, ""]]:
@@ -221,8 +240,9 @@ def _train(
     return trained, _Losses(actor_loss, critic_loss)
 
 
-def _log_prob(policy: Policy, batch: _Batch) -> Float[Array, " N"]:
-    return networks.log_prob(networks.actor_mean(policy.actor, batch.inputs), policy.std, batch.action)
+def _log_prob(policy: Policy, batch: _Batch) -> Float[Array, "*S"]:
+    mean = networks.actor_mean(policy.actor, batch.inputs, batch.hidden, batch.ended)
+    return networks.log_prob(mean, policy.std, batch.action)
 
 
 def _actor_loss(actor: Params, policy: Policy, batch: _Batch, config: PPOConfig) -> Float[Array, ""]:

@@ -7,11 +7,14 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Key
 
-from cassie_mjx.control.network import Network, action
+from cassie_mjx.control.network import Gru, Network, action, forgotten, remember
 from cassie_mjx.ppo import normalizer
 from cassie_mjx.ppo.types import Normalizer, Params, Policy
+
+GRU = "gru"
+"""The layer of an actor's parameters that remembers, if it has one."""
 
 
 class MLP(nn.Module):
@@ -39,14 +42,50 @@ def init(
     return MLP((*hidden_sizes, outputs), output_scale).init(key, jnp.zeros(inputs))["params"]
 
 
+def init_recurrent(
+    key: Key[Array, ""], inputs: int, hidden_sizes: tuple[int, ...], outputs: int, output_scale: float = 1.0
+) -> Params:
+    """Draw the parameters of a network as `init` does whose first layer is a GRU.
+
+    W is drawn as LeCun et al. 1998, each U orthogonal as Saxe et al. 2014, biases are 0: flax's choice for a GRU.
+    """
+    kernel_key, recurrent_key, rest_key = jax.random.split(key, 3)
+    size, *rest = hidden_sizes
+    orthogonal = nn.initializers.orthogonal()
+    gru = Gru(
+        kernel=nn.initializers.lecun_normal()(kernel_key, (inputs, 3 * size)),
+        recurrent=jnp.hstack([orthogonal(each, (size, size)) for each in jax.random.split(recurrent_key, 3)]),
+        bias=jnp.zeros(3 * size),
+        recurrent_bias=jnp.zeros(size),
+    )
+    return {GRU: gru._asdict(), **init(rest_key, size, tuple(rest), outputs, output_scale)}
+
+
+def gru(params: Params) -> Gru | None:
+    """Return the GRU of an actor; None if it has none."""
+    return Gru(**params[GRU]) if GRU in params else None
+
+
 def layers(params: Params) -> list[tuple[Array, Array]]:
-    """Return (W [inputs, outputs], b [outputs]) of each layer, first to last: enough to run the network elsewhere."""
-    hidden = [params[f"hidden_{i}"] for i in range(len(params) - 1)]
+    """Return (W [inputs, outputs], b [outputs]) of each layer but a GRU, first to last."""
+    hidden = [params[f"hidden_{i}"] for i in range(len(params.keys() - {GRU}) - 1)]
     return [(layer["kernel"], layer["bias"]) for layer in (*hidden, params["output"])]
 
 
-def actor_mean(params: Params, inputs: Float[Array, "*batch O"]) -> Float[Array, "*batch A"]:
-    """Return the mean action, within +-1, for normalised observations."""
+def actor_mean(
+    params: Params, inputs: Float[Array, "*batch O"], hidden: Float[Array, "*batch N"], ended: Bool[Array, "*batch"]
+) -> Float[Array, "*batch A"]:
+    """Return the mean action, within +-1.
+
+    Args:
+        params: of the actor.
+        inputs: normalised observations. For a recurrent actor the axes are robots and T control steps.
+        hidden: what the actor carried when it acted; that of the first step alone counts.
+        ended: whether the step was the last of its episode: what follows begins with nothing carried.
+    """
+    cell = gru(params)
+    if cell is not None:
+        inputs = _lived_through(cell, inputs, hidden[:, 0], ended)
     return jnp.tanh(_apply(params, inputs))
 
 
@@ -58,12 +97,15 @@ def critic_value(params: Params, inputs: Float[Array, "*batch O"]) -> Float[Arra
 def acting(policy: Policy) -> Network:
     """Return the actor with its input statistics, as `control.network` runs it."""
     statistics = policy.normalizer
-    return Network(statistics.mean, normalizer.std(statistics), normalizer.CLIP, layers(policy.actor))
+    gru_layer, rest = gru(policy.actor), layers(policy.actor)
+    return Network(statistics.mean, normalizer.std(statistics), normalizer.CLIP, rest, gru_layer)
 
 
-def mode(policy: Policy, observation: Float[Array, "*batch O"]) -> Float[Array, "*batch A"]:
-    """Return the deterministic action, which is the mean."""
-    return action(acting(policy), observation)
+def mode(
+    policy: Policy, observation: Float[Array, "*batch O"], hidden: Float[Array, "*batch N"]
+) -> tuple[Float[Array, "*batch A"], Float[Array, "*batch N"]]:
+    """Return the deterministic action, which is the mean, and what the policy carries on."""
+    return action(acting(policy), observation, hidden)
 
 
 def renormalize(policy: Policy, statistics: Normalizer) -> Policy:
@@ -82,6 +124,7 @@ def renormalize(policy: Policy, statistics: Normalizer) -> Policy:
     first = next(iter(sorted(policy.actor)))
     kernel, bias = (np.asarray(policy.actor[first][name], np.float64) for name in ("kernel", "bias"))
     layer = {
+        **policy.actor[first],
         "kernel": jnp.asarray(kernel * (new_std / std)[:, None], jnp.float32),
         "bias": jnp.asarray(bias + ((new_mean - mean) / std) @ kernel, jnp.float32),
     }
@@ -89,21 +132,22 @@ def renormalize(policy: Policy, statistics: Normalizer) -> Policy:
 
 
 def sample(
-    policy: Policy, observation: Float[Array, "*batch O"], key: Key[Array, ""]
-) -> tuple[Float[Array, "*batch A"], Float[Array, "*batch"]]:
+    policy: Policy, observation: Float[Array, "*batch O"], hidden: Float[Array, "*batch N"], key: Key[Array, ""]
+) -> tuple[Float[Array, "*batch A"], Float[Array, "*batch"], Float[Array, "*batch N"]]:
     """Draw an action, mean + std x noise; the noise is not squashed, so an action may leave +-1.
 
     Args:
         policy: normaliser, actor and width.
         observation: as the environment gives it.
+        hidden: what the policy carries.
         key: used up here.
 
     Returns:
-        The action and its log density.
+        The action, its log density, and what the policy carries on.
     """
-    mean = mode(policy, observation)
+    mean, hidden = mode(policy, observation, hidden)
     action = mean + policy.std * jax.random.normal(key, mean.shape, mean.dtype)
-    return action, log_prob(mean, policy.std, action)
+    return action, log_prob(mean, policy.std, action), hidden
 
 
 def log_prob(
@@ -113,6 +157,21 @@ def log_prob(
     # log N(a; mu, sigma^2 I) = -|a - mu|^2 / (2 sigma^2) - A log(sigma sqrt(2 pi))
     squares = jnp.square((action - mean) / std).sum(axis=-1)
     return -0.5 * squares - action.shape[-1] * (jnp.log(std) + 0.5 * math.log(2.0 * math.pi))
+
+
+def _lived_through(
+    cell: Gru, inputs: Float[Array, "B T O"], hidden: Float[Array, "B N"], ended: Bool[Array, "B T"]
+) -> Float[Array, "B T N"]:
+    """What a GRU gave at each of T control steps that began with `hidden`, 0 after the end of an episode."""
+
+    def step(
+        hidden: Float[Array, "B N"], now: tuple[Float[Array, "B O"], Bool[Array, " B"]]
+    ) -> tuple[Float[Array, "B N"], Float[Array, "B N"]]:
+        given = remember(cell, now[0], hidden)
+        return forgotten(given, now[1]), given
+
+    _, given = jax.lax.scan(step, hidden, (inputs.swapaxes(0, 1), ended.swapaxes(0, 1)))
+    return given.swapaxes(0, 1)
 
 
 def _apply(params: Params, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch outputs"]:

@@ -1,7 +1,7 @@
 """What the learner passes around: pytrees with a shape on every field.
 
-Axes: T control steps, B robots, O observation, P privileged state, A action. Arrays are float32 where nothing else is
-said.
+Axes: T control steps, B robots, O observation, P privileged state, A action, N what a recurrent actor carries (0 of any
+other). Arrays are float32 where nothing else is said.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,7 +11,8 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, Key, PyTree
 
 Params = Mapping[str, Mapping[str, Array]]
-"""Parameters of one network: layer name to `kernel` [inputs, outputs] and `bias` [outputs]."""
+"""Parameters of one network: layer name to `kernel` [inputs, outputs] and `bias` [outputs]; `gru` to those of a
+`control.network.Gru`."""
 
 
 @runtime_checkable
@@ -43,6 +44,15 @@ class EnvState(Protocol):
 
 Step = Callable[[Any, Any, Key[Array, ""]], Any]
 """`step(env_state, action [B, A], key) -> env_state`: one control step, with a reset where an episode ends."""
+
+
+class Robots(NamedTuple):
+    """B robots between two control steps."""
+
+    env: Any
+    """Their environment's state (`EnvState`)."""
+    hidden: Float[Array, "B N"]
+    """What the policy carries of them: 0 where an episode begins."""
 
 
 class Normalizer(NamedTuple):
@@ -98,6 +108,8 @@ class Rollout(NamedTuple):
     """What the critic saw besides `observation`."""
     final_privileged: Float[Array, "T B P"]
     """What it saw besides `final_observation`."""
+    hidden: Float[Array, "T B N"]
+    """What the policy carried when it acted."""
     metrics: PyTree[Array]
     """What the environment recorded, each leaf [T, B, ...]."""
 

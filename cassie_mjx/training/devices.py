@@ -19,7 +19,7 @@ from jaxtyping import Array, Key
 
 from cassie_mjx.physics.native import cores
 from cassie_mjx.ppo.rollout import Collect
-from cassie_mjx.ppo.types import LearnerState, Policy, Rollout, UpdateMetrics
+from cassie_mjx.ppo.types import LearnerState, Policy, Robots, Rollout, UpdateMetrics
 
 AXIS = "devices"
 
@@ -94,8 +94,8 @@ def on_all(collect: Collect, update: Update) -> tuple[Collect, Update]:
       update: `ppo.learner.update` with its configuration bound; each device gets the same key and makes the same step.
     """
 
-    def collect_share(policy: Policy, env_state: Any, key: Key[Array, ""]) -> tuple[Any, Rollout]:
-        return collect(policy, env_state, jax.random.fold_in(key, jax.lax.axis_index(AXIS)))
+    def collect_share(policy: Policy, robots: Robots, key: Key[Array, ""]) -> tuple[Robots, Rollout]:
+        return collect(policy, robots, jax.random.fold_in(key, jax.lax.axis_index(AXIS)))
 
     spread = partial(jax.shard_map, mesh=_mesh(), check_vma=False)
     return (
@@ -117,30 +117,28 @@ def on_hosts(collect: Collect, update: Update) -> tuple[Collect, Update]:
     mesh = _one_a_process()
     everyones = partial(jax.make_array_from_process_local_data, NamedSharding(mesh, _STEPS_AND_ROBOTS))
 
-    def collect_share(policy: Policy, env_state: Any, key: Key[Array, ""]) -> tuple[Any, Rollout]:
+    def collect_share(policy: Policy, robots: Robots, key: Key[Array, ""]) -> tuple[Robots, Rollout]:
         own_key = jax.random.wrap_key_data(own_copy(jax.random.key_data(key)))
-        env_state, lived = collect(own_copy(policy), env_state, jax.random.fold_in(own_key, jax.process_index()))
-        return env_state, jax.tree.map(everyones, lived)
+        robots, lived = collect(own_copy(policy), robots, jax.random.fold_in(own_key, jax.process_index()))
+        return robots, jax.tree.map(everyones, lived)
 
     specs: dict[str, Any] = {"in_specs": (_SAME, _STEPS_AND_ROBOTS, _SAME), "out_specs": _SAME, "check_vma": False}
     return collect_share, jax.shard_map(partial(update, axis_name=AXIS), mesh=mesh, **specs)
 
 
-def shares(env_state: T, key: Key[Array, ""], count: int) -> list[tuple[T, Key[Array, ""]]]:
+def shares(robots: T, key: Key[Array, ""], count: int) -> list[tuple[T, Key[Array, ""]]]:
     """The robots and the key of each of the `count` devices in `on_all`, or processes in `on_hosts`.
 
     They are for this process alone; every process must call it.
     """
-    whole = gather(env_state)
-    return [
-        (jax.tree.map(partial(_share, count, i), env_state, whole), jax.random.fold_in(key, i)) for i in range(count)
-    ]
+    whole = gather(robots)
+    return [(jax.tree.map(partial(_share, count, i), robots, whole), jax.random.fold_in(key, i)) for i in range(count)]
 
 
-def share_of_host(env_state: T) -> T:
+def share_of_host(robots: T) -> T:
     """This process' share of all robots on the host."""
     split = partial(_share, jax.process_count(), jax.process_index())
-    return jax.tree.map(split, env_state, env_state)
+    return jax.tree.map(split, robots, robots)
 
 
 def own_copy(tree: T) -> T:

@@ -23,12 +23,11 @@ import jax
 import mujoco
 import numpy as np
 
-from cassie_mjx.envs.types import WalkState
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.physics.types import Physics, PhysicsState, Scenario
 from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.ppo.rollout import collect_on_host
-from cassie_mjx.ppo.types import Policy
+from cassie_mjx.ppo.types import Policy, Robots
 from cassie_mjx.robot.arrays import Array
 from cassie_mjx.robot.dynamics import Dynamics, set_dynamics
 from cassie_mjx.robot.ground import Ground, set_terrain
@@ -38,14 +37,14 @@ Divergence = dict[str, Any]
 """One robot's `PhysicsState` and `Scenario`, field by field, its PD targets `target` and `n_steps`."""
 
 
-def replay(env: WalkEnv, config: PPOConfig, policy: Policy, state: WalkState, key: jax.Array) -> Divergence | None:
+def replay(env: WalkEnv, config: PPOConfig, policy: Policy, robots: Robots, key: jax.Array) -> Divergence | None:
     """What led to the first divergence in a rollout, which is collected again, on either engine step by step.
 
     Args:
       env: the task.
       config: of the learner.
       policy: that collected the rollout.
-      state: of the robots before the rollout.
+      robots: before the rollout.
       key: that the rollout was collected with.
 
     Returns:
@@ -53,7 +52,7 @@ def replay(env: WalkEnv, config: PPOConfig, policy: Policy, state: WalkState, ke
     """
     again = copy.copy(env)
     again.physics = watched = _WatchedPhysics(env.physics)
-    collect_on_host(again.step, config, policy, state, key)
+    collect_on_host(again.step, config, policy, robots, key)
     return watched.divergence
 
 

@@ -13,19 +13,23 @@ from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.robot import cassie
 
 # Measured on MuJoCo C at the process' peak: 4.6 kB a sample of 80 numbers and 64 units, 54 B a weight, 110 kB a robot
-# with a history of 27 kB. A robot's state on MJX has 40 kB.
+# with a history of 27 kB. A robot's state on MJX has 40 kB. A GRU of 64 units takes 1.8 kB a sample more.
 COPIES_OF_OBSERVATIONS, COPIES_OF_LAYERS, COPIES_OF_WEIGHTS, COPIES_OF_HISTORY = 12, 2, 13, 4
+COPIES_OF_HIDDEN = 7
 BYTES_OF_MJX_ROBOT = 80_000
 
 
 def needed_bytes(ppo: PPOConfig, walk: WalkConfig, physics: str, physics_hz: int) -> int:
     """About what the largest arrays of a run take, over all devices."""
     widths, observed = ppo.hidden_sizes, OBSERVATIONS[walk.observation].size
-    sample = 4 * (COPIES_OF_OBSERVATIONS * observed + COPIES_OF_LAYERS * max(widths))
+    remembered = widths[0] if ppo.network == "gru" else 0
+    layers = COPIES_OF_LAYERS * max(widths) + COPIES_OF_HIDDEN * remembered
+    sample = 4 * (COPIES_OF_OBSERVATIONS * observed + layers)
     weights = sum(a * b for a, b in pairwise((observed, *widths, cassie.NU)))
+    weights += remembered * (2 * observed + 3 * remembered)
     history = walk.delay_steps(physics_hz) + 1
-    remembered = history * (cassie.NQ + cassie.NV + cassie.NU)
-    robot = 8 * COPIES_OF_HISTORY * remembered + BYTES_OF_MJX_ROBOT * (physics == "mjx")
+    past = history * (cassie.NQ + cassie.NV + cassie.NU)
+    robot = 8 * COPIES_OF_HISTORY * past + BYTES_OF_MJX_ROBOT * (physics == "mjx")
     return ppo.num_samples * sample + 4 * COPIES_OF_WEIGHTS * weights + ppo.num_robots * robot
 
 

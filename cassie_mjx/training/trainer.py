@@ -20,7 +20,7 @@ from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.make import ENGINES, make_physics
 from cassie_mjx.physics.types import Physics
 from cassie_mjx.ppo import learner, networks, normalizer, rollout
-from cassie_mjx.ppo.types import LearnerState, Normalizer, Policy, Rollout, UpdateMetrics
+from cassie_mjx.ppo.types import LearnerState, Normalizer, Policy, Robots, Rollout, UpdateMetrics
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.model import steps_per_control
 from cassie_mjx.training import devices, divergence
@@ -37,6 +37,13 @@ class RunState(NamedTuple):
     env: Any
     key: jax.Array
     """Data of the key that the keys of all iterations are folded from."""
+    hidden: Any
+    """What the policy carries of the robots, [B, N]."""
+
+    @property
+    def robots(self) -> Robots:
+        """Where the robots are, and what the policy carries of them."""
+        return Robots(self.env, self.hidden)
 
 
 class IterationMetrics(NamedTuple):
@@ -59,13 +66,17 @@ def initial_policy(config: TrainConfig) -> NumpyPolicy | None:
     """The policy that `config.init` names, if it names one.
 
     Raises:
-      ValueError: there is none, or two; its file is damaged, or its layers or inputs are not those of this run, or it
+      ValueError: there is none, or two; its file is damaged, or its network or inputs are not those of this run, or it
         learned one step and `walk.symmetric` is false.
     """
     if config.init is None:
         return None
     saved = NumpyPolicy.load(existing_policy(config.init, "init"))
-    widths = tuple(len(bias) for _, bias in saved.weights[:-1])
+    network = "gru" if saved.gru else "mlp"
+    if network != config.ppo.network:
+        raise ValueError(f"init={config.init} is a {saved.kind}; set ppo.network={network}.")
+    first = (len(saved.gru.recurrent_bias),) if saved.gru else ()
+    widths = (*first, *(len(bias) for _, bias in saved.weights[:-1]))
     if widths != config.ppo.hidden_sizes:
         raise ValueError(f"init={config.init} has hidden layers of {list(widths)}; set ppo.hidden_sizes to that.")
     if saved.mirror and config.walk.symmetric is False:
@@ -115,7 +126,8 @@ class Trainer:
             if self._parts > 1:
                 self.collect, update = devices.on_all(self.collect, update)
                 self._same = devices.same_everywhere()
-                places = RunState(self._same, devices.split_by_robot(), self._same)
+                split = devices.split_by_robot()
+                places = RunState(self._same, split, self._same, split)
             # One compiled call an iteration. Left to itself, XLA moves empty arrays, and the next call compiles again.
             whole = partial(iterate, self.collect, partial(learn, update))
             self.iterate = jax.jit(whole, out_shardings=(places, self._same))
@@ -148,9 +160,10 @@ class Trainer:
         state = learner.init(init_key, self.config.ppo, *sizes)
         if policy is not None:
             state = state._replace(policy=policy._replace(std=state.policy.std))
+        robots = rollout.begin(state.policy, env_state)
         if self.env.physics.traceable:
-            env_state = jax.tree.map(jnp.asarray, env_state)
-        return self.place(RunState(state, env_state, jax.random.key_data(run_key)))
+            robots = jax.tree.map(jnp.asarray, robots)
+        return self.place(RunState(state, robots.env, jax.random.key_data(run_key), robots.hidden))
 
     def gather_statistics(self, run: RunState) -> RunState:
         """The run with the input statistics of the states that a random policy visits, or the policy begun with.
@@ -161,17 +174,17 @@ class Trainer:
         policy, samples = run.learner.policy, self.config.ppo.normalizer_samples
         begun_with = policy.normalizer.samples > 0
         visit = rollout.policy_statistics if begun_with else rollout.random_policy_statistics
-        statistics = visit(self.collect, policy, run.env, statistics_key, samples)
+        statistics = visit(self.collect, policy, run.robots, statistics_key, samples)
         policy = networks.renormalize(policy, statistics) if begun_with else policy._replace(normalizer=statistics)
         return run._replace(learner=self._shared(run.learner._replace(policy=policy)))
 
     def place(self, run: RunState) -> RunState:
         """A run with all robots, each part of it where it belongs: of robots on the host, this process' share."""
-        env = run.env
+        robots = run.robots
         if self._parts > 1:
             split = partial(jax.device_put, device=devices.split_by_robot())
-            env = split(env) if self.env.physics.traceable else devices.share_of_host(env)
-        return RunState(self._shared(run.learner), env, self._shared(run.key))
+            robots = split(robots) if self.env.physics.traceable else devices.share_of_host(robots)
+        return RunState(self._shared(run.learner), robots.env, self._shared(run.key), robots.hidden)
 
     def _shared(self, tree: T) -> T:
         return tree if self._same is None else jax.device_put(tree, self._same)
@@ -183,9 +196,9 @@ class Trainer:
         """
         before = before._replace(learner=devices.own_copy(before.learner), key=devices.own_copy(before.key))
         collect_key, _ = iteration_keys(before)
-        shares = [(before.env, collect_key)]
+        shares = [(before.robots, collect_key)]
         if self._parts > 1:
-            shares = devices.shares(before.env, collect_key, self._parts)
+            shares = devices.shares(before.robots, collect_key, self._parts)
         found = (divergence.replay(self.env, self.config.ppo, before.learner.policy, *share) for share in shares)
         return next(filter(None, found), None)
 
@@ -196,9 +209,9 @@ class Trainer:
 def iterate(collect: rollout.Collect, learn: Learn, run: RunState) -> tuple[RunState, IterationMetrics]:
     """Collect experience with the present policy and learn from it."""
     collect_key, update_key = iteration_keys(run)
-    env_state, experience = collect(run.learner.policy, run.env, collect_key)
+    robots, experience = collect(run.learner.policy, run.robots, collect_key)
     state, metrics = learn(run.learner, experience, update_key)
-    return RunState(state, env_state, run.key), metrics
+    return RunState(state, robots.env, run.key, robots.hidden), metrics
 
 
 def learn(

@@ -10,10 +10,11 @@ from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from cassie_mjx.agents.policy import PolicyAgent
 from cassie_mjx.configuration.values import Checked, Range, Seed
-from cassie_mjx.control.law import ControlLaw
+from cassie_mjx.control.law import ControlLaw, LawCarry
 from cassie_mjx.control.observation import Seen
 from cassie_mjx.control.step import policy_step
 from cassie_mjx.envs.config import WalkConfig
@@ -54,10 +55,14 @@ class _OtherLaw(ControlLaw):
 
     actor: Act | None = None
 
-    def act(self, network: Any, carry: Array, seen: Seen) -> tuple[Array, Array]:
+    def begin(self, network: Any, seen: Seen) -> LawCarry:
+        return LawCarry(self.init(seen), np.zeros((len(seen.qpos), 0)))
+
+    def act(self, network: Any, carry: LawCarry, seen: Seen) -> tuple[Array, LawCarry]:
         assert self.actor
-        observation, carry = self.observe(carry, seen)
-        return self.residual(seen.reference_qpos, self.actor(network, observation)), carry
+        observation, sensing = self.observe(carry.sensing, seen)
+        acted = self.actor(network, observation)
+        return self.residual(seen.reference_qpos, acted), carry._replace(sensing=sensing)
 
 
 class Meter:
