@@ -19,7 +19,14 @@ from cassie_mjx.agents.types import Sensed
 from cassie_mjx.control import command as motions
 from cassie_mjx.control.command import MotionState
 from cassie_mjx.control.path import Path, into, out_of, shift
-from cassie_mjx.envs.command import CommandRange, command_range, draw_command
+from cassie_mjx.envs.command import (
+    STANDING_SHARE,
+    STILL_SHARE,
+    CommandRange,
+    command_range,
+    draw_command,
+    redraw_target,
+)
 from cassie_mjx.envs.config import WALK_PRESETS, WalkConfig
 from cassie_mjx.envs.make import make_env
 from cassie_mjx.envs.outcome import post_physics
@@ -230,11 +237,12 @@ def test_the_leash_holds_to_the_side_where_the_command_steers(motion):
 def test_a_joystick_draws_all_ranges_but_not_the_corners(motion):
     commands = command_range(motion, "1x", "joystick")
     told = draw_command(motion, jax.random.key(0), 20_000, commands)
-    stands = np.asarray(told.stand) == 1
-    assert abs(stands.mean() - 0.2) < 0.01
+    still, stands = ~np.array(told)[:3].any(axis=0), np.asarray(told.stand) == 1
+    assert abs(still.mean() - STILL_SHARE) < 0.01
+    assert abs(stands.mean() - STILL_SHARE * STANDING_SHARE) < 0.01
     assert set(np.asarray(told.stand).tolist()) == {0, 1}
-    assert not np.any(np.array(told)[:3, stands])
-    forward, lateral, yaw_rate = np.array(told)[:3, ~stands]
+    assert still[stands].all()
+    forward, lateral, yaw_rate = np.array(told)[:3, ~still]
     for values, low, high in ((forward, -0.7, 2.8), (lateral, -0.4, 0.4), (yaw_rate, -0.8, 0.8)):
         assert (values.min(), values.max()) == (pytest.approx(low, abs=1e-6), pytest.approx(high, abs=1e-6))
         assert abs(values.mean() - (low + high) / 2) < 0.02
@@ -247,6 +255,18 @@ def test_a_joystick_draws_all_ranges_but_not_the_corners(motion):
     assert command_range(motion, "any", "speed") == CommandRange((0.0, 4.0), STRAIGHT)
     with pytest.raises(ValueError, match="this one does not walk"):
         command_range(motion._replace(stride_length=np.float64(0)), "1x", "joystick")
+
+
+def test_robots_are_told_to_stand_for_longer_than_to_walk(motion):
+    """Commands of 0.32 s, ten control steps, and of four times as long; no drawn one has the yaw rate of these."""
+    commands, zeros = command_range(motion, "1x", "joystick"), jnp.zeros(20_000)
+    stand = (jnp.arange(20_000) % 2).astype(jnp.float32)
+    now = Command(zeros, zeros, zeros + 0.123, stand)
+    state = MotionState(zeros, zeros, now, now, zeros, Path(zeros, zeros, zeros))
+    told = redraw_target(motion, state, jax.random.key(0), commands, 0.32).target_command
+    changed = np.asarray(told.yaw_rate != now.yaw_rate)
+    assert abs(changed[::2].mean() - 1 / 10) < 0.01
+    assert abs(changed[1::2].mean() - 1 / 40) < 0.005
 
 
 def test_robots_in_training_are_told_anew_and_bend_their_paths():

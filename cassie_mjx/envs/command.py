@@ -26,9 +26,11 @@ from cassie_mjx.robot.ground import START_X_M, Ground
 
 # What the key of a speed is folded with for the steering, and for who is to stand.
 _STEERING_KEY, _STAND_KEY = 2, 3
-STILL_SHARE, STANDING_SHARE = 0.35, 0.8
+STILL_SHARE, STANDING_SHARE = 0.2, 0.8
 """Share of the commands that tell robots to stay where they are, where they are steered, and share of those that tell
 them to stand; the others are to step on the spot."""
+STANDING_TIMES = 4
+"""How many times as long robots are told to stand as to walk by one command, for a stance may creep apart slowly."""
 
 
 class CommandRange(NamedTuple):
@@ -133,9 +135,13 @@ def paid(state: MotionState) -> jax.Array:
 def redraw_target(
     motion: ReferenceMotion, state: MotionState, key: jax.Array, commands: CommandRange, mean_s: float
 ) -> MotionState:
-    """The same moment, after which some robots have another target: each every `mean_s` seconds on average."""
+    """The same moment, after which some robots have another target: each every `mean_s` seconds on average.
+
+    Those that are told to stand have theirs `STANDING_TIMES` as long.
+    """
     when_key, command_key = jax.random.split(key)
     targets = state.target_command
+    mean_s = mean_s * jnp.where(jnp.asarray(targets.stand) > 0, STANDING_TIMES, 1)
     new = jax.random.bernoulli(when_key, CONTROL_PERIOD_S / mean_s, targets.forward.shape)
     drawn = draw_command(motion, command_key, len(new), commands)
     return state._replace(target_command=merge(new, drawn, targets))
