@@ -317,6 +317,21 @@ def test_a_nan_ends_its_episode_and_is_counted(env):
     assert np.isfinite(after.physics.qpos).all()
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_velocity_beyond_single_precision_ends_its_episode_without_a_warning(env, monkeypatch):
+    state, advance = env.reset(jax.random.key(3)), env.physics.advance
+
+    def diverge(*args):
+        after = advance(*args)
+        after.qvel[2, 7] = 1e300
+        return after
+
+    monkeypatch.setattr(env.physics, "advance", diverge)
+    after = env.step(state, np.zeros((ROBOTS, 10)), jax.random.key(4))
+    np.testing.assert_array_equal(np.asarray(after.metrics["nan"]), np.arange(ROBOTS) == 2)
+    assert np.isfinite(np.asarray(after.observation)).all()
+
+
 def test_both_engines_step_the_same_task(native, motion):
     mjx = MjxPhysics(load_mjx_model(MJX_TRAINING))
     phases = jnp.arange(ROBOTS) * 2

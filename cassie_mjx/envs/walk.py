@@ -148,9 +148,11 @@ class WalkEnv:
         held = to_backend(state.physics, self._target(state.motion, action))
         physics = self.physics.advance(state.physics, held, state.scenario, self._substeps)
         seen = sensed(physics, state.scenario)
-        outcome = self._outcome(
-            state.motion, state.sensing, state.push_level, state.scenario, physics.qpos, physics.qvel, *seen, key
-        )
+        # A velocity beyond single precision has diverged: it becomes infinite, and ends the episode like a NaN.
+        with np.errstate(over="ignore"):
+            outcome = self._outcome(
+                state.motion, state.sensing, state.push_level, state.scenario, physics.qpos, physics.qvel, *seen, key
+            )
         fresh = self.physics.init(outcome.start.qpos, outcome.start.qvel)
         ended = outcome.terminated | outcome.truncated
         given: dict[str, Any] = outcome._asdict()
