@@ -9,17 +9,18 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from seeing import SENSORS, save_sensing_policy
 
 from cassie_mjx import export
 from cassie_mjx.agents import web_file
 from cassie_mjx.agents.controller import Controller
 from cassie_mjx.agents.shipped import existing_policy
 from cassie_mjx.control.command import toward
-from cassie_mjx.control.law import ControlLaw, LawCarry, canonicalize, decanonicalize, second_step
+from cassie_mjx.control.law import ControlLaw, canonicalize, decanonicalize, second_step
 from cassie_mjx.control.network import action
 from cassie_mjx.control.observation import OBSERVATIONS, Observation, Seen
 from cassie_mjx.control.path import Path as WalkedPath
-from cassie_mjx.control.step import PolicyCarry, policy_step
+from cassie_mjx.control.step import begin, policy_step
 from cassie_mjx.export import ExportConfig
 from cassie_mjx.motion.command import Command
 from cassie_mjx.motion.reference import mean_speed, sample
@@ -48,16 +49,21 @@ def node(program, content):
     return json.loads(done.stdout)
 
 
-@pytest.fixture(scope="module", params=["joystick", "1x-robust", "any"])
-def name(request):
-    return request.param
+@pytest.fixture(scope="module", params=["joystick", "1x-robust", "any", "sensors"])
+def name(request, tmp_path_factory):
+    """Of a policy that ships, or the file of one of random weights that observes `SENSORS`."""
+    if request.param != "sensors":
+        return request.param
+    path = tmp_path_factory.mktemp("policy") / "sensors.npz"
+    save_sensing_policy(path)
+    return str(path)
 
 
 @pytest.fixture(scope="module")
 def exported(name, tmp_path_factory):
     folder = tmp_path_factory.mktemp("web")
     export.main(ExportConfig(policy=name, web=str(folder)))
-    return folder / f"{name}.json"
+    return folder / f"{Path(name).stem}.json"
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +141,7 @@ def test_a_control_step_is_numpys(exported, controller):
     found = node("control.mjs", {"policy": str(exported), "observed": [], "steps": steps, "walk": [], "heights": []})
     now = toward(motion, command, target, time, qvel)
     network = policy.network
-    before = PolicyCarry(time, LawCarry(np.zeros((100, 0, 80)), policy.start(100)), WalkedPath(*place))
+    before = begin(controller.law, motion, network, time, qpos, qvel)._replace(path=WalkedPath(*place))
     targets, after = policy_step(controller.law, motion, network, before, qpos, qvel, now)
     close(found["steps"], "targets", targets)
     carry = [step["carry"] for step in found["steps"]]
@@ -247,9 +253,10 @@ def test_a_second_is_that_of_mujoco_c(exported, controller, terrain, delay, push
 
 
 @needs_packages
-def test_a_height_field_that_goes_along_changes_nothing(exported):
+def test_a_height_field_that_goes_along_changes_nothing(tmp_path):
     """20 s at 0.7 m/s are farther than it reaches at first."""
-    content = {"policy": str(exported), "xml": str(xml_path().parent), "delaySteps": 0, "syncs": 1250}
+    export.main(ExportConfig(policy="joystick", web=str(tmp_path)))
+    content = {"policy": str(tmp_path / "joystick.json"), "xml": str(xml_path().parent), "delaySteps": 0, "syncs": 1250}
     found = node("physics.mjs", content | {"terrain": Terrain("steps", 0.02)._asdict()})
     assert found["falls"] == 0
     assert found["qpos"][-1][0] > 11
@@ -275,9 +282,19 @@ def test_the_page_has_a_policy_of_each_kind_of_place(tmp_path, capsys):
 def test_terms_that_the_page_cannot_compute_are_refused():
     first, *others = OBSERVATIONS["full"].terms
     squared = replace(first, compute=lambda seen: first.compute(seen) ** 2)
-    for observation in (Observation((squared, *others)), OBSERVATIONS["sensors"]):
-        with pytest.raises(ValueError, match="this one observes more; teach `page/src/control/law.js` its terms"):
-            web_file.sources(ControlLaw(observation))
+    with pytest.raises(ValueError, match="this one observes more; teach `page/src/control/law.js` its terms"):
+        web_file.sources(ControlLaw(Observation((squared, *others))))
+
+
+def test_the_page_is_told_what_was_seen_when():
+    """Four frames of 35 numbers, the oldest last in each term, then the reference of now."""
+    place, age = web_file.sources(ControlLaw(SENSORS))
+    orientation, gyro, angles, velocities, reference = np.split(age, np.cumsum([16, 12, 56, 56]))
+    for term, size in ((orientation, 4), (gyro, 3), (angles, 14), (velocities, 14)):
+        np.testing.assert_array_equal(term, np.repeat(np.arange(4), size))
+    assert len(reference) == SENSORS.size - 140
+    assert not reference.any()
+    np.testing.assert_array_equal(place[:16], np.tile(np.arange(3, 7), 4))
 
 
 def test_the_guide_links_to_where_the_page_is_built():

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from seeing import lived
 from tiny import TINY, session
 
 from cassie_mjx.agents import web_file
@@ -20,7 +21,7 @@ from cassie_mjx.control.law import ControlLaw, second_step
 from cassie_mjx.control.observation import OBSERVATIONS, Seen
 from cassie_mjx.files import archive
 from cassie_mjx.motion.files import load_motion
-from cassie_mjx.motion.reference import sample, stretch
+from cassie_mjx.motion.reference import stretch
 from cassie_mjx.ppo import learner, networks, normalizer
 from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.robot import cassie
@@ -28,15 +29,6 @@ from cassie_mjx.robot import cassie
 SENSORS = OBSERVATIONS["sensors"]
 CONFIG = PPOConfig(network="gru", hidden_sizes=(24, 16), actor_output_scale=0.3)
 RECURRENT = replace(TINY, network="gru", num_steps=4)
-
-
-def lived(steps):
-    """States near the reference, and the reference ahead: qpos, qvel, qpos ahead, qvel ahead."""
-    motion, rng = load_motion("walk"), np.random.default_rng(0)
-    qpos, qvel = (np.array(states, float) for states in sample(motion, np.arange(steps)))
-    qpos += 0.1 * rng.normal(size=qpos.shape)
-    qvel += 0.5 * rng.normal(size=qvel.shape)
-    return qpos, qvel, *sample(motion, np.arange(steps) + 1)
 
 
 def saved(path, seed, speed=1.0):

@@ -3,25 +3,19 @@
 import json
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from seeing import lived, save_sensing_policy
 from tiny import TINY, session
 
 from cassie_mjx.agents.controller import Controller
 from cassie_mjx.agents.make import make_policy_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.onnx_file import save_onnx
-from cassie_mjx.agents.policy_file import save_policy
 from cassie_mjx.agents.types import Sensed
-from cassie_mjx.control.law import ControlLaw
 from cassie_mjx.control.observation import OBSERVATIONS, Seen
 from cassie_mjx.envs.config import WalkConfig
-from cassie_mjx.motion.files import load_motion
-from cassie_mjx.motion.reference import sample
-from cassie_mjx.ppo import learner, normalizer
-from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.model import xml_path
 
@@ -29,24 +23,10 @@ SENSORS = OBSERVATIONS["sensors"]
 TASK = {"ppo": TINY, "walk": WalkConfig(observation="sensors", electronics=True)}
 
 
-def lived(steps):
-    """What robots go through near the reference, and with which reference ahead: qpos, qvel, qpos ahead, qvel ahead."""
-    motion, rng = load_motion("walk"), np.random.default_rng(0)
-    qpos, qvel = (np.array(states, float) for states in sample(motion, np.arange(steps)))
-    qpos += 0.1 * rng.normal(size=qpos.shape)
-    qvel += 0.5 * rng.normal(size=qvel.shape)
-    return qpos, qvel, *sample(motion, np.arange(steps) + 1)
-
-
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    """A policy of random weights that moves its targets by some tenths of a rad."""
-    states = Seen(*lived(300))
-    observed = jnp.asarray(SENSORS.update(SENSORS.init(states), states)[0], jnp.float32)
-    policy = learner.init(jax.random.key(0), PPOConfig(actor_output_scale=0.3), SENSORS.size, cassie.NU, 1).policy
-    policy = policy._replace(normalizer=normalizer.update(policy.normalizer, observed))
     path = tmp_path_factory.mktemp("policy") / "sensors.npz"
-    save_policy(path, policy, load_motion("walk"), 1.0, 1.0, {}, law=ControlLaw(SENSORS, symmetric=True))
+    save_sensing_policy(path)
     return path
 
 

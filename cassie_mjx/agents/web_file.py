@@ -8,7 +8,7 @@ import base64
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from cassie_mjx.motion.reference import QUATERNIONS, RAMP_PER_S, ReferenceMotion
 from cassie_mjx.motion.schedule import LIMITS
 from cassie_mjx.robot import cassie, ground
 
-FORMAT, VERSION = "cassie-mjx policy for the web", 1
+FORMAT, VERSION = "cassie-mjx policy for the web", 2
 """The page reads this version alone (`page/src/control/policy_file.js`)."""
 
 _SIZES = (cassie.NQ, cassie.NV, cassie.NQ, cassie.NV)
@@ -63,7 +63,7 @@ def content(policy: NumpyPolicy, name: str) -> dict[str, Any]:
             "layers": [[_packed(weight), _packed(bias)] for weight, bias in policy.weights],
         },
         "observation": {
-            "sources": sources(law).tolist(),
+            **{name: places.tolist() for name, places in sources(law)._asdict().items()},
             "mirror": {"permutation": permutation.tolist(), "sign": sign.tolist()},
         },
         "symmetric": law.symmetric,
@@ -80,28 +80,45 @@ def content(policy: NumpyPolicy, name: str) -> dict[str, Any]:
     }
 
 
-def sources(law: ControlLaw) -> np.ndarray:
-    """Where each number of an observation, [O], stands in qpos, qvel, and those of the reference, side by side.
+class Sources(NamedTuple):
+    """Where each number of an observation comes from."""
+
+    place: np.ndarray
+    """[O], of qpos, qvel, and those of the reference, side by side."""
+    age: np.ndarray
+    """[O], control steps: how long ago it was seen."""
+
+
+def sources(law: ControlLaw) -> Sources:
+    """Where the numbers of an observation come from.
 
     Raises:
-      ValueError: an observation is more than a choice of these numbers.
+      ValueError: an observation is more than a choice of numbers of the state and of the reference, now and before.
     """
-    numbers = 1 + np.arange(sum(_SIZES))
+    count, frames = sum(_SIZES), 1 + law.init(_seen(np.zeros(sum(_SIZES)))).shape[1]
+    numbers = 1 + np.arange(frames * count).reshape(frames, count)
     places = np.rint(_observed(law, numbers)).astype(int) - 1
-    other = np.random.default_rng(0).uniform(0.1, 1.0, len(numbers))
-    if not (np.isin(places, numbers - 1).all() and np.array_equal(_observed(law, other), other[places])):
+    other = np.random.default_rng(0).uniform(0.1, 1.0, numbers.shape)
+    if not (np.isin(places, numbers - 1).all() and np.array_equal(_observed(law, other), other.ravel()[places])):
         raise ValueError(
             "The page shows a policy numbers of the state and of the reference alone, and this one observes more; "
             "teach `page/src/control/law.js` its terms."
         )
-    return places
+    return Sources(place=places % count, age=places // count)
 
 
 def _observed(law: ControlLaw, numbers: np.ndarray) -> np.ndarray:
-    """The observation [O] of one robot whose state and reference are these numbers, side by side, and 0 before."""
-    qpos, qvel, reference_qpos, reference_qvel = np.split(numbers[None].astype(float), np.cumsum(_SIZES)[:-1], axis=1)
-    seen = Seen(qpos, qvel, reference_qpos, reference_qvel)
-    return law.observation.update(0 * law.init(seen), seen)[0][0]
+    """The observation [O] of one robot; its states and references are `numbers` [H, N], side by side, newest first."""
+    *before, now = (_seen(frame) for frame in numbers[::-1])
+    carry = law.init(before[0] if before else now)
+    for seen in before:
+        _, carry = law.observation.update(carry, seen)
+    return law.observation.update(carry, now)[0][0]
+
+
+def _seen(numbers: np.ndarray) -> Seen:
+    """What one robot sees whose state and reference are these numbers, [N], side by side."""
+    return Seen(*np.split(numbers[None].astype(float), np.cumsum(_SIZES)[:-1], axis=1))
 
 
 def _robot(joints: Sequence[str]) -> dict[str, Any]:

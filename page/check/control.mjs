@@ -5,7 +5,7 @@
 import {readFileSync} from "node:fs";
 import {begin, step} from "../src/control/controller.js";
 import {heightBelow} from "../src/control/ground.js";
-import {action, observe, residual, torques} from "../src/control/law.js";
+import {action, frame, history, observe, residual, torques} from "../src/control/law.js";
 import {readPolicy} from "../src/control/policy_file.js";
 import {mirrored} from "../src/control/state.js";
 
@@ -13,7 +13,8 @@ const input = JSON.parse(readFileSync(0, "utf8"));
 const policy = readPolicy(readFileSync(input.policy, "utf8"));
 
 const observed = input.observed.map(({state, reference}) => {
-  const observation = observe(policy, state, reference);
+  const frames = Array(1 + history(policy)).fill(frame(state, reference));
+  const observation = observe(policy, frames);
   return {
     observation,
     mirrored: mirrored(observation, policy.observation.mirror),

@@ -1,14 +1,15 @@
 // One robot's policy at work, as cassie_mjx/control/step.py and agents/controller.py have it.
 
 import {onward, toward} from "./command.js";
-import {observe, residual, targets} from "./law.js";
+import {frame, history, observe, residual, targets} from "./law.js";
 import {ownCommand, sample} from "./motion.js";
 import {WORLD, bendBeside, into, stayBeside} from "./path.js";
 import {X} from "./state.js";
 
-// What a policy carries from step to step: control step of the motion, path, and the command of now.
+// What a policy carries from step to step: control step of the motion, path, command of now, and what it saw before,
+// newest first, which is null until it sees anything: then it has always seen that.
 export function begin(policy) {
-  return {time: 0, path: WORLD, command: ownCommand(policy)};
+  return {time: 0, path: WORLD, command: ownCommand(policy), frames: null};
 }
 
 // PD targets [10], rad, on the way to a target command, and the next carry.
@@ -21,8 +22,13 @@ export function step(policy, carry, qpos, qvel, target) {
   const beside = stayBeside(carry.path, command, now, qpos, qvel, steering.leash_m);
   const later = onward(policy, carry.time, command);
   const seen = into(beside, qpos, qvel), ahead = sample(policy, later, command);
-  const residuals = residual(policy, observe(policy, seen, ahead), ahead.qpos);
+  const frames = [frame(seen, ahead), ...(carry.frames ?? alwaysSeen(policy, carry.time, qpos, qvel))];
+  const residuals = residual(policy, observe(policy, frames), ahead.qpos);
   const path = bendBeside(beside, command, now, ahead.qpos, seen.qpos[X], period);
-  const next = {time: later % reference.qpos.length, path, command};
+  const next = {time: later % reference.qpos.length, path, command, frames: frames.slice(0, history(policy))};
   return {targets: targets(policy, ahead.qpos, residuals), carry: next};
+}
+
+function alwaysSeen(policy, time, qpos, qvel) {
+  return Array(history(policy)).fill(frame({qpos, qvel}, sample(policy, time + 1, ownCommand(policy))));
 }

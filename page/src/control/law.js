@@ -3,11 +3,21 @@
 import {align} from "./rotation.js";
 import {ORIENTATION, clip, gather, mirrored} from "./state.js";
 
-// What the policy observes, [O], before any mirror: numbers of the state and of the reference, in the path's frame.
-export function observe({observation}, state, reference) {
+// What observations are gathered from: a state in the path's frame and the reference, side by side.
+export function frame(state, reference) {
   const [from, to] = ORIENTATION, qpos = Float64Array.from(state.qpos);
   qpos.set(align(Array.from(qpos.slice(from, to)), reference.qpos.slice(from, to)), from);
-  return gather([...qpos, ...state.qvel, ...reference.qpos, ...reference.qvel], observation.sources);
+  return [...qpos, ...state.qvel, ...reference.qpos, ...reference.qvel];
+}
+
+// How many earlier frames the policy observes.
+export function history({observation}) {
+  return Math.max(...observation.age);
+}
+
+// What the policy observes, [O], before any mirror, of frames, newest first.
+export function observe({observation: {place, age}}, frames) {
+  return place.map((number, i) => frames[age[i]][number]);
 }
 
 // Residuals on the reference angles of the active joints, [10], rad; the second step is taken as in a mirror.

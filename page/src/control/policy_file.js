@@ -1,6 +1,6 @@
 // The file of a policy for this page, which `python -m cassie_mjx.export policy=NAME web=FOLDER` writes.
 
-export const FORMAT = "cassie-mjx policy for the web", VERSION = 1;
+export const FORMAT = "cassie-mjx policy for the web", VERSION = 2;
 
 // The policy of a file's text. Throws an Error of one sentence if it is none, or of another version.
 export function readPolicy(text) {
@@ -51,7 +51,7 @@ function unpacked({shape, float32}) {
 
 function checked(policy) {
   const {network, reference, observation, robot} = policy;
-  const widths = [observation.sources.length, ...network.layers.map(({bias}) => bias.length)];
+  const widths = [observation.place.length, ...network.layers.map(({bias}) => bias.length)];
   const fits = network.layers.every(({weight}, i) => weight.length === widths[i] * widths[i + 1]);
   if (!fits || network.mean.length !== widths[0] || network.std.length !== widths[0]) {
     throw new Error("the sizes of its network do not fit together");
