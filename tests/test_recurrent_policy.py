@@ -138,6 +138,8 @@ def test_the_file_says_what_it_is_and_a_call_without_memory_is_refused(path):
     policy = NumpyPolicy.load(path)
     with np.load(path, allow_pickle=False) as content:
         assert content["network"] == policy.kind == "GRU, perceptron, ReLU"
+    with pytest.raises(ValueError, match=r"^hidden of shape \(1, 24\) was given; this observation takes \(24,\)\.$"):
+        policy.step(np.zeros(SENSORS.size), policy.start(1))
     with pytest.raises(ValueError, match=r"^The policy is recurrent; call policy\.step\(observation, hidden\)"):
         policy(np.zeros(SENSORS.size))
     with pytest.raises(ValueError, match=r"^The page runs a perceptron, ReLU; teach .* a GRU, perceptron, ReLU\.$"):

@@ -144,6 +144,33 @@ def test_robots_told_to_stand_are_not_paid_for_steps_on_the_spot(motion):
     assert ends[0].metrics["weighted"][0] == ends[1].metrics["weighted"][0] > 0.5, "what is measured is the same"
 
 
+def test_a_robot_that_is_not_paid_goes_on():
+    """`min_reward` is about how near it is to the reference, whatever it is paid."""
+    env = make_env(robots=1, physics_hz=500, command="joystick")
+    assert env.config.min_reward
+    state = env.reset_at(np.array([5]), Scenario.nominal(1), jax.tree.map(jnp.float32, told(0.0, 0.0, 0.0, 0.0)))
+    to_stand = jax.tree.map(jnp.float32, told(*STAND))
+    after = env.step(
+        replace(state, motion=state.motion._replace(target_command=to_stand)), np.zeros((1, 10)), jax.random.key(0)
+    )
+    assert after.reward[0] == 0
+    assert not after.metrics["low_reward"][0]
+    assert after.motion.step[0] == 1
+
+
+def test_episodes_begin_with_steps_or_with_a_whole_stance(motion):
+    """Robots half way to standing, and one too fast to stand, begin with steps, where they are in the stride."""
+    stand = jnp.array([0.0, 0.4, 1.0, 1.0])
+    speed = jnp.array([0.0, 0.0, 0.0, STEP_OUT_MPS])
+    zeros = jnp.zeros(4)
+    state = command.start_motion(
+        motion, jnp.full(4, 15), Command(zeros, zeros, zeros, stand), Scenario.nominal(4).ground, speed
+    )
+    np.testing.assert_array_equal(state.command.stand, [0, 0, 1, 0])
+    np.testing.assert_array_equal(state.target_command.stand, stand)
+    np.testing.assert_array_equal(state.time, [15, 15, 11, 15])
+
+
 def test_robots_of_the_task_stand_from_the_first_moment_and_their_clock_rests():
     task = WalkConfig(start_velocity_mps=0, min_reward=None, max_position_error_m=None, command_s=3600)
     env = make_env(robots=22, physics_hz=500, config=task, command="joystick")

@@ -117,30 +117,33 @@ class NumpyPolicy:
         """Return the residuals on the reference angles of the active joints, rad, [10] or [B, 10].
 
         Args:
-          observation: [80] or [B, 80], as `self.observation` describes it.
+          observation: [O] or [B, O], as `self.observation` describes it.
 
         Raises:
           ValueError: another number of inputs, or the policy is recurrent.
         """
         if self.gru is not None:
             raise ValueError("The policy is recurrent; call policy.step(observation, hidden), first with policy.start.")
-        return self.step(observation, self.start(1)[0])[0]
+        return self.step(observation, np.zeros((*np.shape(observation)[:-1], 0)))[0]
 
     def step(self, observation: np.ndarray, hidden: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the residuals as a call does, and what to give the next step as `hidden`.
 
         Args:
-          observation: [80] or [B, 80], as `self.observation` describes it.
+          observation: [O] or [B, O], as `self.observation` describes it.
           hidden: [N] or [B, N], of `start` or the last step.
 
         Raises:
-          ValueError: another number of inputs.
+          ValueError: another number of inputs, or `hidden` of another shape.
         """
         x = np.asarray(observation, np.float32)
         if x.shape[-1:] != self.mean.shape:
             raise ValueError(
                 f"An observation of shape {x.shape} was given; this policy takes {len(self.mean)} numbers."
             )
+        carried = (*x.shape[:-1], self.start(1).shape[1])
+        if np.shape(hidden) != carried:
+            raise ValueError(f"hidden of shape {np.shape(hidden)} was given; this observation takes {carried}.")
         if self.mirror is None:
             return action(self.network, x, hidden)
         second = self.mirror.second_step(x)

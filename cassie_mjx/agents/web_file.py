@@ -118,7 +118,8 @@ def _observed(law: ControlLaw, numbers: np.ndarray) -> np.ndarray:
 
 def _seen(numbers: np.ndarray) -> Seen:
     """What one robot sees whose state and reference are these numbers, [N], side by side."""
-    return Seen(*np.split(numbers[None].astype(float), np.cumsum(_SIZES)[:-1], axis=1))
+    qpos, qvel, reference_qpos, reference_qvel = np.split(numbers[None].astype(float), np.cumsum(_SIZES)[:-1], axis=1)
+    return Seen(qpos, qvel, reference_qpos, reference_qvel)
 
 
 def _robot(joints: Sequence[str]) -> dict[str, Any]:

@@ -13,11 +13,14 @@ BRAKING, LATERAL_PACE, YAW_PACE = 1.5, 0.4, 1.6
 """Paces at which a walk is slowed down, m/s², brought to another lateral velocity, m/s², and to another yaw rate,
 rad/s²."""
 STAND_S = 5 * CONTROL_PERIOD_S
-"""Time in which a robot comes to stand, and leaves it, s: in half a step, whose foot is then put down, or lifted."""
-STEP_OUT_MPS, SWAY_MPS = 0.3, 0.5
+"""Duration of the change from steps to standing and back, s: about half a step."""
+LEAST_STRIDE = 10
+"""Control steps of the shortest stride in whose steps a robot can come to stand."""
+STEP_OUT_MPS = 0.3
 """Horizontal speed of the pelvis, m/s, at which a robot that stands begins to step: its capture point, 0.32 s ahead, is
-then 0.1 m away, at the end of its feet. One that steps on the spot, which alone sways by up to 0.4 m/s, comes to stand
-below the second."""
+then 0.1 m away, at the end of its feet."""
+SWAY_MPS = 0.5
+"""Horizontal speed of the pelvis, m/s, below which a robot comes to stand; steps on the spot sway by up to 0.4 m/s."""
 
 
 class MotionState(NamedTuple):
@@ -75,14 +78,14 @@ def follow(state: MotionState, lead: Array, aside: Array, leash_m: Array | float
 def toward(motion: ReferenceMotion, command: Command, target: Command, time: Array, qvel: Array) -> Command:
     """The command one control step later on its way to a target.
 
-    Forward it gains 0.625 of the motion's speed a second, and brakes faster. Whether a robot is to stand or to step is
-    decided as a foot lands, and while it stands: it steps if it is told to walk, or if something moves it at more than
-    `STEP_OUT_MPS`. It walks only when it no longer stands.
+    Forward it gains 0.625 of the motion's speed a second, and brakes faster. Whether a robot stands or steps is decided
+    as a foot lands, and while the clock rests. It stands if it is told to, is on the spot, and is slower than
+    `STEP_OUT_MPS` if it stands already, `SWAY_MPS` if it steps. It walks only when it no longer stands.
 
     Args:
       motion: what is walked.
       command: of now.
-      target: what it is to become.
+      target: what it is to become; its `stand` is 0 or 1.
       time: control steps since the motion began, [B].
       qvel: as sensed, [B, 32].
     """
@@ -90,7 +93,7 @@ def toward(motion: ReferenceMotion, command: Command, target: Command, time: Arr
     calm_mps = xp.where(command.stand == 1, STEP_OUT_MPS, SWAY_MPS)
     calm = xp.square(qvel[:, cassie.HORIZONTAL_VELOCITY]).sum(axis=-1) < calm_mps**2
     since_landing = _since_landing(motion, time)
-    # In a step it goes on as it began, which shows: on the way up the first half of the ramp is the lower one.
+    # Between landings the change goes on. On the way to standing, `stand` is below 0.5 in the first half of its time.
     comes_to_stand = (command.stand > 0) & ((command.stand > 0.5) == (since_landing * ramp > 0.5))
     decides = target.stand * (command.on_the_spot & calm)
     wanted = xp.where(since_landing == 0, decides, comes_to_stand)

@@ -19,8 +19,7 @@ class LawCarry(NamedTuple):
     sensing: Array
     """Of the observation, [B, H - 1, F]."""
     hidden: Array
-    """Of the network, [B, N]. A symmetric policy's goes on as it is from step to step of the stride: the network has
-    only ever seen the first step, so what it remembers has no mirror image."""
+    """Of the network, [B, N]. It is never mirrored: a symmetric policy's network is given every step as the first."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cassie_mjx.control.command import STEP_OUT_MPS, MotionState, reference
+from cassie_mjx.control.command import LEAST_STRIDE, STEP_OUT_MPS, MotionState, reference
 from cassie_mjx.control.path import Path
 from cassie_mjx.motion.command import (
     FULL_STEERING_MPS,
@@ -45,13 +45,18 @@ def command_range(motion: ReferenceMotion, speed: str, command: str) -> CommandR
     """What a training's speed and command ask for of a motion that has been stretched already.
 
     Raises:
-      ValueError: `speed` is none, or the motion does not walk and is to be commanded by a joystick.
+      ValueError: `speed` is none, or a joystick is to command a motion that does not walk or has no two equal steps.
     """
     if command == "speed":
         return CommandRange(speed_factors(speed)[1])
-    own = float(mean_speed(motion))
+    own, samples = float(mean_speed(motion)), len(motion.qpos)
     if own <= 0:
         raise ValueError("command=joystick stretches the reference, and this one does not walk; choose another.")
+    if samples % 2 or samples < LEAST_STRIDE:
+        raise ValueError(
+            f"command=joystick needs a stride of an even number of samples, {LEAST_STRIDE} or more, and this reference "
+            f"has {samples}; choose another."
+        )
     low, high = JOYSTICK_MPS
     return CommandRange((low / own, high / own), JOYSTICK)
 
@@ -71,13 +76,14 @@ def start_motion(
     Args:
       motion: what is imitated.
       time: control step of the motion that they start at, [B]; robots that stand begin where a foot has just landed.
-      command: now and as a target.
+      command: now and as a target; robots on the way to standing or from it begin with steps.
       ground: of the robots, [B]; where it is not flat, the pelvis starts at `START_X_M`.
       speed: by which their pelvis is off the reference's velocity, [B], m/s; those that are too fast to stand step.
     """
-    now = command._replace(stand=command.stand * (speed < STEP_OUT_MPS))
+    stands = (command.stand == 1) & (speed < STEP_OUT_MPS)
+    now = command._replace(stand=stands.astype(command.forward.dtype))
     zeros, half = jnp.zeros_like(command.forward), motion.qpos.shape[0] // 2
-    landed = jnp.where(now.stand > 0, time // half * half, time)
+    landed = jnp.where(stands, time // half * half, time)
     state = MotionState(landed, jnp.zeros_like(time), now, command, zeros, Path(zeros, zeros, zeros))
     first, _ = reference(motion, state)
     return state._replace(origin_x=ground.uneven * (START_X_M - first[:, PELVIS_X]))
@@ -141,7 +147,7 @@ def redraw_target(
     """
     when_key, command_key = jax.random.split(key)
     targets = state.target_command
-    mean_s = mean_s * jnp.where(jnp.asarray(targets.stand) > 0, STANDING_TIMES, 1)
-    new = jax.random.bernoulli(when_key, CONTROL_PERIOD_S / mean_s, targets.forward.shape)
+    lasts_s = mean_s * jnp.where(jnp.asarray(targets.stand) > 0, STANDING_TIMES, 1)
+    new = jax.random.bernoulli(when_key, CONTROL_PERIOD_S / lasts_s, targets.forward.shape)
     drawn = draw_command(motion, command_key, len(new), commands)
     return state._replace(target_command=merge(new, drawn, targets))

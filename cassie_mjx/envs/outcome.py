@@ -39,9 +39,10 @@ def post_physics(
     qpos, qvel, sensed_qpos, sensed_qvel = merge(nan, (*in_world, *in_world), (qpos, qvel, sensed_qpos, sensed_qvel))
     walked = on_the_path(state.path, qpos, qvel, scenario.ground)
     rewards, terms = _rewards(task, walked, reference[0], nan)
-    earned = jnp.where(nan, 0.0, command.paid(state) * reward.total(terms))
+    kept = jnp.where(nan, 0.0, reward.total(terms))
+    earned = command.paid(state) * kept
     lead, aside = ((walked - reference[0])[:, axis] for axis in (cassie.PELVIS_X, cassie.PELVIS_Y))
-    causes = _ends(task, nan, walked[:, cassie.PELVIS_Z], earned, lead, aside)
+    causes = _ends(task, nan, walked[:, cassie.PELVIS_Z], kept, lead, aside)
     terminated = jnp.stack(causes).any(axis=0)
     truncated = ~terminated & _is_last(task, state)
     ended = terminated | truncated
@@ -80,11 +81,11 @@ def _rewards(
     return rewards, reward.terms(learned, walked, reference)
 
 
-def _ends(task: Task, nan: jax.Array, height: jax.Array, earned: jax.Array, lead: jax.Array, aside: jax.Array) -> Ends:
+def _ends(task: Task, nan: jax.Array, height: jax.Array, kept: jax.Array, lead: jax.Array, aside: jax.Array) -> Ends:
     """Why episodes end of robots at a height, `lead` ahead of the reference and `aside` to its left, m, all [B]."""
     # Where robots are steered, one must not do without the position's share of the reward to the side either.
     away = lead if task.commands.steering == STRAIGHT else jnp.maximum(abs(lead), abs(aside))
-    return ends(nan, height, earned, away, task.config.min_reward, task.config.max_position_error_m)
+    return ends(nan, height, kept, away, task.config.min_reward, task.config.max_position_error_m)
 
 
 def _is_last(task: Task, state: MotionState) -> jax.Array:

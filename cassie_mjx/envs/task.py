@@ -71,7 +71,7 @@ class Task:
 
     @property
     def command_s(self) -> float | None:
-        """Mean time between commanded speeds, s; None if every episode has one alone."""
+        """Mean time from one command to the next, s, four times that after one to stand; None for one an episode."""
         slowest, fastest = self.commands.speeds
         return self.config.command_s if slowest < fastest else None
 

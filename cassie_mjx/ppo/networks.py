@@ -45,7 +45,7 @@ def init(
 def init_recurrent(
     key: Key[Array, ""], inputs: int, hidden_sizes: tuple[int, ...], outputs: int, output_scale: float = 1.0
 ) -> Params:
-    """Draw the parameters of a network as `init` does whose first layer is a GRU.
+    """Draw the parameters of a network whose first layer is a GRU; the other layers as `init` draws them.
 
     W is drawn as LeCun et al. 1998, each U orthogonal as Saxe et al. 2014, biases are 0: flax's choice for a GRU.
     """

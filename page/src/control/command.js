@@ -4,15 +4,15 @@ import {VELOCITY, clip} from "./state.js";
 
 // The command one control step later on its way to a target.
 //
-// Whether a robot is to stand or to step is decided as a foot lands, and while it stands: it steps if it is told to walk,
-// or if something moves it too fast, qvel [32] as sensed. It walks only when it no longer stands.
+// Whether a robot stands or steps is decided as a foot lands, and while the clock rests. It stands if it is told to, is on
+// the spot, and is slow enough, qvel [32] as sensed. It walks only when it no longer stands.
 export function toward({steering, reference, robot}, command, target, time, qvel) {
   const period = robot.control_period_s, ramp = period / steering.stand_s;
   const onTheSpot = command.forward === 0 && command.lateral === 0 && command.yawRate === 0;
   const calm = command.stand === 1 ? steering.step_out_mps : steering.sway_mps;
   const isCalm = qvel[VELOCITY[0]] ** 2 + qvel[VELOCITY[0] + 1] ** 2 < calm ** 2;
   const landed = sinceLanding(reference, time);
-  // In a step it goes on as it began.
+  // Between landings the change goes on.
   const comesToStand = command.stand > 0 && command.stand > 0.5 === landed * ramp > 0.5 ? 1 : 0;
   const decides = onTheSpot && isCalm ? target.stand : 0;
   const stand = nearer(command.stand, landed === 0 ? decides : comesToStand, ramp);

@@ -53,7 +53,8 @@ function checked(policy) {
   const {network, reference, observation, robot} = policy;
   const widths = [observation.place.length, ...network.layers.map(({bias}) => bias.length)];
   const fits = network.layers.every(({weight}, i) => weight.length === widths[i] * widths[i + 1]);
-  if (!fits || network.mean.length !== widths[0] || network.std.length !== widths[0]) {
+  const inputs = [network.mean, network.std, observation.age].every(({length}) => length === widths[0]);
+  if (!fits || !inputs) {
     throw new Error("the sizes of its network do not fit together");
   }
   if (widths.at(-1) !== robot.joints.length) throw new Error("it does not drive each joint");
