@@ -299,6 +299,20 @@ def agent():
     return make_policy_agent("any")
 
 
+def test_a_controller_that_is_told_nothing_begins_the_next_command_at_its_own_speed():
+    controller = Controller.load("any")
+    qpos, qvel = np.array(controller.motion.qpos[0]), np.zeros(32)
+    for command in ["stand"] * 60:
+        controller(qpos, qvel, command=command)
+    assert controller._told
+    np.testing.assert_array_equal(controller._told.stand, 1)
+    controller(qpos, qvel)
+    controller(qpos, qvel, command=0.7)
+    assert controller._told
+    np.testing.assert_array_equal(controller._told.stand, 0)
+    np.testing.assert_allclose(controller._told.forward, 0.7, atol=0.05)
+
+
 def test_policy_and_controller_bend_the_same_path(agent):
     rng, controller = np.random.default_rng(0), Controller.load("any")
     qpos, qvel = (np.array(x) for x in agent.initial_state(1))

@@ -200,11 +200,10 @@ class Controller:
         own_qpos[0, cassie.PELVIS_POSITION] += self.joints.origin
         own_qvel[0, self.joints.own_qvel] = np.asarray(qvel)[self.joints.qvel]
         carry = self._carry or begin(self.law, self.motion, self._network, np.zeros(1, np.int32), own_qpos, own_qvel)
+        last, self._told = self._told or Command.ahead(np.full(1, mean_speed(self.motion))), None
         if command is not None:
-            last = self._told or Command.ahead(np.full(1, mean_speed(self.motion)))
             self._told = toward(self.motion, last, _command(command), carry.time, own_qvel)
-        told = None if command is None else self._told
-        targets, self._carry = policy_step(self.law, self.motion, self._network, carry, own_qpos, own_qvel, told)
+        targets, self._carry = policy_step(self.law, self.motion, self._network, carry, own_qpos, own_qvel, self._told)
         self._step += 1
         self._targets = targets[0]
         return self._targets.copy()
