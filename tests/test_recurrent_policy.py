@@ -7,39 +7,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from seeing import lived
-from tiny import TINY, session
+from seeing import SENSORS, assert_controller_acts_as_agent, lived, save_sensing_policy, sensed_by_steps
+from tiny import TINY, halt_after_one, session
 
 from cassie_mjx.agents import web_file
 from cassie_mjx.agents.controller import Controller
 from cassie_mjx.agents.make import make_agent, make_policy_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.onnx_file import save_onnx
-from cassie_mjx.agents.policy_file import learner_policy, save_policy
+from cassie_mjx.agents.policy_file import learner_policy
 from cassie_mjx.agents.types import Sensed
-from cassie_mjx.control.law import ControlLaw, second_step
-from cassie_mjx.control.observation import OBSERVATIONS, Seen
+from cassie_mjx.control.law import second_step
 from cassie_mjx.files import archive
-from cassie_mjx.motion.files import load_motion
-from cassie_mjx.motion.reference import stretch
-from cassie_mjx.ppo import learner, networks, normalizer
-from cassie_mjx.ppo.config import PPOConfig
+from cassie_mjx.ppo import networks
 from cassie_mjx.robot import cassie
 
-SENSORS = OBSERVATIONS["sensors"]
-CONFIG = PPOConfig(network="gru", hidden_sizes=(24, 16), actor_output_scale=0.3)
 RECURRENT = replace(TINY, network="gru", num_steps=4)
 
 
 def saved(path, seed, speed=1.0):
-    """Write a symmetric policy of random weights and biases that moves its targets by some tenths of a rad."""
-    states = Seen(*lived(300))
-    observed = jnp.asarray(SENSORS.update(SENSORS.init(states), states)[0], jnp.float32)
-    policy = learner.init(jax.random.key(seed), CONFIG, SENSORS.size, cassie.NU, 1).policy
-    biased = jax.tree.map(lambda x: x + 0.1 if x.ndim == 1 else x, policy.actor)
-    policy = policy._replace(actor=biased, normalizer=normalizer.update(policy.normalizer, observed))
-    motion = stretch(load_motion("walk"), speed)
-    save_policy(path, policy, motion, speed, 1.0, {}, law=ControlLaw(SENSORS, symmetric=True))
+    """Write a recurrent policy of random weights and biases."""
+    save_sensing_policy(path, seed, speed, bias=0.1, network="gru", hidden_sizes=(24, 16))
     return path
 
 
@@ -49,18 +37,9 @@ def path(tmp_path_factory):
 
 
 def test_numpy_acts_as_jax_does_for_300_steps(path):
-    controller, agent = Controller.load(path), make_policy_agent(str(path))
-    qpos, qvel, ahead, _ = lived(300)
-    carry, moved = agent.init(Sensed(qpos[:1], qvel[:1])), 0.0
-    assert 100 < second_step(ahead).sum() < 200, "in both steps of the stride"
-    for k in range(300):
-        expected, carry = agent.step(carry, Sensed(qpos[k : k + 1], qvel[k : k + 1]), None)
-        targets = controller(qpos[k], qvel[k])
-        np.testing.assert_allclose(targets, np.asarray(expected)[0], atol=1e-5)
-        moved = max(moved, np.abs(targets - ahead[k, cassie.ACTIVE_QPOS]).max())
-    assert controller._carry
-    np.testing.assert_allclose(controller._carry.law.hidden, carry.law.hidden, atol=1e-5)
-    assert moved > 0.1
+    assert 100 < second_step(lived(300)[2]).sum() < 200, "in both steps of the stride"
+    ours, theirs = assert_controller_acts_as_agent(path)
+    np.testing.assert_allclose(ours.law.hidden, theirs.law.hidden, atol=1e-5)
 
 
 def test_its_targets_depend_on_what_it_saw_longer_ago_than_its_observation(path):
@@ -91,16 +70,6 @@ def test_a_symmetric_policy_stays_symmetric(path):
         np.testing.assert_allclose(other.law.hidden, first.law.hidden, atol=1e-5)
 
 
-def observed(steps):
-    """What a policy of `SENSORS` observes, [steps, O]."""
-    observations, carry = [], None
-    for step in zip(*lived(steps), strict=True):
-        seen = Seen(*(part[None] for part in step))
-        observation, carry = SENSORS.update(SENSORS.init(seen) if carry is None else carry, seen)
-        observations.append(observation[0])
-    return np.array(observations, np.float32)
-
-
 def test_onnx_runtime_acts_as_numpy_does(path, tmp_path):
     pytest.importorskip("onnx")
     runtime = pytest.importorskip("onnxruntime")
@@ -112,7 +81,7 @@ def test_onnx_runtime_acts_as_numpy_does(path, tmp_path):
         ("hidden", ["batch", 24]),
     ]
     # Two robots, one of which began 10 steps ago.
-    seen, hidden = observed(300), policy.start(2)
+    seen, hidden = sensed_by_steps(300), policy.start(2)
     _, hidden[1] = policy.step(seen[0], hidden[1])
     ours = theirs = hidden
     for k in range(290):
@@ -125,7 +94,7 @@ def test_onnx_runtime_acts_as_numpy_does(path, tmp_path):
 
 
 def test_the_learner_gets_the_same_policy_back(path):
-    policy, seen = NumpyPolicy.load(path), observed(20)
+    policy, seen = NumpyPolicy.load(path), sensed_by_steps(20)
     back, hidden, carried = learner_policy(policy), policy.start(1)[0], jnp.zeros(24)
     plain = replace(policy, mirror=None)
     for observation in seen:
@@ -188,17 +157,7 @@ def test_each_policy_of_a_blend_remembers_for_itself(path, tmp_path):
 def test_a_run_resumes_exactly_with_what_it_carries(tmp_path):
     whole = session(tmp_path / "whole", ppo=RECURRENT)
     whole.train()
-    halted = session(tmp_path / "halted", ppo=RECURRENT)
-    iterate = halted._iterate
-
-    def iterate_and_stop():
-        iterate()
-        raise KeyboardInterrupt
-
-    halted._iterate = iterate_and_stop
-    with pytest.raises(KeyboardInterrupt):
-        halted.train()
-    halted._save()
+    halt_after_one(tmp_path / "halted", ppo=RECURRENT)
     resumed = session(tmp_path / "halted", ppo=RECURRENT, resume=True)
     assert resumed.done == 1
     assert np.abs(resumed.run.hidden).max() > 0.01, "robots in the middle of episodes"

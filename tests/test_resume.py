@@ -5,7 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
-from tiny import TINY, session
+from tiny import TINY, halt_after_one, session
 
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.motion.files import load_motion
@@ -25,17 +25,7 @@ def test_counts_since_the_last_evaluation_survive_an_interruption(tmp_path):
     """Episodes that end at once are counted in iterations 1 and 2, and the run stops between the two."""
     task = {"ppo": TINY, "evaluate_every": 2, "walk": WalkConfig(min_reward=0.9, episode_steps=3)}
     session(tmp_path / "whole", **task).train()
-    begun = session(tmp_path / "halted", **task)
-    iterate = begun._iterate
-
-    def iterate_and_stop():
-        iterate()
-        raise KeyboardInterrupt
-
-    begun._iterate = iterate_and_stop
-    with pytest.raises(KeyboardInterrupt):
-        begun.train()
-    begun._save()
+    halt_after_one(tmp_path / "halted", **task)
     session(tmp_path / "halted", resume=True, **task).train()
     whole, halted = lines(tmp_path / "whole"), lines(tmp_path / "halted")
     assert whole[-1]["train/low_reward"] > 0

@@ -6,20 +6,16 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-from seeing import lived, save_sensing_policy
-from tiny import TINY, session
+from seeing import assert_controller_acts_as_agent, lived, save_sensing_policy, sensed_by_steps
+from tiny import TINY, halt_after_one, session
 
 from cassie_mjx.agents.controller import Controller
-from cassie_mjx.agents.make import make_policy_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.onnx_file import save_onnx
-from cassie_mjx.agents.types import Sensed
-from cassie_mjx.control.observation import OBSERVATIONS, Seen
 from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.model import xml_path
 
-SENSORS = OBSERVATIONS["sensors"]
 TASK = {"ppo": TINY, "walk": WalkConfig(observation="sensors", electronics=True)}
 
 
@@ -31,15 +27,7 @@ def path(tmp_path_factory):
 
 
 def test_numpy_acts_as_jax_does_with_its_memory(path):
-    controller, agent = Controller.load(path), make_policy_agent(str(path))
-    qpos, qvel, *_ = lived(300)
-    carry, moved = agent.init(Sensed(qpos[:1], qvel[:1])), 0.0
-    for k in range(300):
-        expected, carry = agent.step(carry, Sensed(qpos[k : k + 1], qvel[k : k + 1]), None)
-        targets = controller(qpos[k], qvel[k])
-        np.testing.assert_allclose(targets, np.asarray(expected)[0], atol=1e-5)
-        moved = max(moved, np.abs(targets - lived(300)[2][k, cassie.ACTIVE_QPOS]).max())
-    assert moved > 0.1
+    assert_controller_acts_as_agent(path)
 
 
 def test_its_targets_depend_on_what_it_saw_before(path):
@@ -68,12 +56,7 @@ def test_onnx_runtime_acts_as_numpy_does(path, tmp_path):
     policy = NumpyPolicy.load(path)
     save_onnx(tmp_path / "sensors.onnx", policy, "sensors")
     opened = runtime.InferenceSession(str(tmp_path / "sensors.onnx"))
-    observed, carry = [], None
-    for step in zip(*lived(300), strict=True):
-        seen = Seen(*(part[None] for part in step))
-        observation, carry = SENSORS.update(SENSORS.init(seen) if carry is None else carry, seen)
-        observed.append(observation[0])
-    given = np.array(observed, np.float32)
+    given = sensed_by_steps(300)
     (action,) = opened.run(["action"], {"observation": given})
     assert np.abs(action - policy(given)).max() < 1e-5
     described = json.loads(opened.get_modelmeta().custom_metadata_map["observation"])
@@ -83,17 +66,7 @@ def test_onnx_runtime_acts_as_numpy_does(path, tmp_path):
 def test_a_run_resumes_exactly_and_its_policy_walks(tmp_path):
     whole = session(tmp_path / "whole", **TASK)
     whole.train()
-    halted = session(tmp_path / "halted", **TASK)
-    iterate = halted._iterate
-
-    def iterate_and_stop():
-        iterate()
-        raise KeyboardInterrupt
-
-    halted._iterate = iterate_and_stop
-    with pytest.raises(KeyboardInterrupt):
-        halted.train()
-    halted._save()
+    halt_after_one(tmp_path / "halted", **TASK)
     resumed = session(tmp_path / "halted", resume=True, **TASK)
     assert resumed.done == 1
     resumed.train()

@@ -3,6 +3,7 @@
 import io
 from dataclasses import replace
 
+import pytest
 from rich.console import Console
 
 from cassie_mjx.ppo.config import PPOConfig
@@ -30,3 +31,18 @@ def config(folder, **changes):
 
 def session(folder, **changes):
     return Runner(config(folder, **changes), Console(file=io.StringIO()))
+
+
+def halt_after_one(folder, **changes):
+    """Begin a run, and interrupt it after an iteration."""
+    begun = session(folder, **changes)
+    iterate = begun._iterate
+
+    def iterate_and_stop():
+        iterate()
+        raise KeyboardInterrupt
+
+    begun._iterate = iterate_and_stop
+    with pytest.raises(KeyboardInterrupt):
+        begun.train()
+    begun._save()

@@ -14,7 +14,7 @@ BRAKING, LATERAL_PACE, YAW_PACE = 1.5, 0.4, 1.6
 rad/s²."""
 STAND_S = 5 * CONTROL_PERIOD_S
 """Duration of the change from steps to standing and back, s: about half a step."""
-LEAST_STRIDE = 10
+LEAST_STRIDE = 2 * round(STAND_S / CONTROL_PERIOD_S)
 """Control steps of the shortest stride in whose steps a robot can come to stand."""
 STEP_OUT_MPS = 0.3
 """Horizontal speed of the pelvis, m/s, at which a robot that stands begins to step: its capture point, 0.32 s ahead, is

@@ -9,13 +9,13 @@ import {VELOCITY, clip} from "./state.js";
 export function toward({steering, reference, robot}, command, target, time, qvel) {
   const period = robot.control_period_s, ramp = period / steering.stand_s;
   const onTheSpot = command.forward === 0 && command.lateral === 0 && command.yawRate === 0;
-  const calm = command.stand === 1 ? steering.step_out_mps : steering.sway_mps;
-  const isCalm = qvel[VELOCITY[0]] ** 2 + qvel[VELOCITY[0] + 1] ** 2 < calm ** 2;
-  const landed = sinceLanding(reference, time);
+  const calmMps = command.stand === 1 ? steering.step_out_mps : steering.sway_mps;
+  const isCalm = qvel[VELOCITY[0]] ** 2 + qvel[VELOCITY[0] + 1] ** 2 < calmMps ** 2;
+  const steps = sinceLanding(reference, time);
   // Between landings the change goes on.
-  const comesToStand = command.stand > 0 && command.stand > 0.5 === landed * ramp > 0.5 ? 1 : 0;
+  const comesToStand = command.stand > 0 && command.stand > 0.5 === steps * ramp > 0.5 ? 1 : 0;
   const decides = onTheSpot && isCalm ? target.stand : 0;
-  const stand = nearer(command.stand, landed === 0 ? decides : comesToStand, ramp);
+  const stand = nearer(command.stand, steps === 0 ? decides : comesToStand, ramp);
   if (stand !== 0) return {...command, stand};
   const braking = Math.abs(target.forward) < Math.abs(command.forward);
   return {
