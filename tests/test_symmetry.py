@@ -14,7 +14,8 @@ from seeing import FULL, canonical, in_both_steps, observe
 from tiny import TINY, session
 
 from cassie_mjx.agents.make import make_agent
-from cassie_mjx.agents.numpy_policy import Mirror, NumpyPolicy
+from cassie_mjx.agents.numpy_policy import NumpyPolicy
+from cassie_mjx.agents.policy_arrays import Mirror
 from cassie_mjx.agents.policy_file import learner_policy, save_policy
 from cassie_mjx.control import command as motions
 from cassie_mjx.control.law import ControlLaw, second_step

@@ -11,47 +11,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from cassie_mjx.agents.policy_arrays import GRU_ARRAYS, MIRROR_ARRAYS, Mirror, check_names, fields, kind
 from cassie_mjx.control.network import KIND, RECURRENT_KIND, Gru, Network, action, start
 from cassie_mjx.files import archive
 from cassie_mjx.robot import cassie
 
 FORMAT = "cassie-mjx policy"
-
-_ARRAYS = ("mean", "std", "reference_qpos", "reference_qvel", "p_gain", "d_gain")
-_NUMBERS = ("clip", "samples", "speed", "reference_stride_length")
-_LISTS = ("joints", "observation")
-_FIRST_KIND = "perceptron, ReLU"  # of files that do not say which
-
-
-class Mirror(NamedTuple):
-    """How a policy that learned one of the stride's two steps takes the other: it sees and acts as in a mirror.
-
-    A reflection p is a list of integers: entry k of the image is sign(p[k]) times entry |p[k]| of the original, counted
-    from 1.
-    """
-
-    observation: np.ndarray
-    """[80], the reflection of an observation."""
-    action: np.ndarray
-    """[10], the reflection of an action."""
-    sides: np.ndarray
-    """[2], where an observation has the reference's hip pitch angles, left and right, counted from 1. In the second
-    step the left one is less than the right one."""
-
-    def second_step(self, observation: np.ndarray) -> np.ndarray:
-        """Which observations [..., 80] are of the second step, [..., 1], bool."""
-        left, right = self.sides - 1
-        return (observation[..., left] < observation[..., right])[..., None]
-
-
-GRU_ARRAYS = tuple(f"gru_{name}" for name in Gru._fields)
-"""Arrays that the file of a recurrent policy has besides."""
-MIRROR_ARRAYS = tuple(f"mirror_{name}" for name in Mirror._fields)
-"""Arrays that the file of a policy with a mirror has besides."""
 
 
 @dataclass(frozen=True)
@@ -159,12 +128,12 @@ class NumpyPolicy:
             do not fit together.
         """
         found = archive.read(Path(path), FORMAT)
-        _check_names(found.arrays, Path(path))
-        network = _kind(found.arrays)
+        check_names(found.arrays, Path(path))
+        network = kind(found.arrays)
         if network not in (KIND, RECURRENT_KIND):
             raise ValueError(f"The network of {path} is a {network}; this version runs a {KIND} or a {RECURRENT_KIND}.")
         try:
-            policy = cls(**_fields(found.arrays), provenance=found.provenance)
+            policy = cls(**fields(found.arrays), provenance=found.provenance)
         except ValueError as error:
             raise ValueError(f"{path} is damaged: a part of it is not of its kind ({error}).") from error
         _check_fit(policy, Path(path))
@@ -180,85 +149,6 @@ class NumpyPolicy:
 def _reflected(values: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Values [..., n] as in the mirror that `places` [n] describe."""
     return values[..., abs(places).astype(int) - 1] * np.sign(places).astype(values.dtype)
-
-
-def _kind(content: Mapping[str, np.ndarray]) -> str:
-    """What a file says that its network is."""
-    return str(content.get("network", _FIRST_KIND))
-
-
-def _check_names(content: Mapping[str, np.ndarray], path: Path) -> None:
-    """Raise ValueError unless a file has the arrays of a policy, and no others."""
-    expected = {"layers", *_ARRAYS, *_NUMBERS, *_LISTS}
-    expected |= {f"{kind}_{i}" for kind in ("weight", "bias") for i in range(_layers(content))}
-    expected |= {"network", "commands"} & content.keys()
-    expected |= set(GRU_ARRAYS) if _kind(content) == RECURRENT_KIND else set()
-    expected |= set(MIRROR_ARRAYS) if set(MIRROR_ARRAYS) & content.keys() else set()
-    if content.keys() != expected:
-        raise ValueError(f"{path} is damaged: {', '.join(sorted(expected ^ content.keys()))} missing or too much.")
-
-
-def _fields(content: dict[str, np.ndarray]) -> dict[str, Any]:
-    """What the arrays of a file mean, by the names of `NumpyPolicy`. Raise ValueError for one that means nothing."""
-    fields: dict[str, Any] = {name: _array(content, name) for name in _ARRAYS}
-    fields |= {name: _number(content, name) for name in _NUMBERS}
-    fields |= {name: _texts(content, name) for name in _LISTS}
-    layers = range(_layers(content))
-    fields["weights"] = tuple((_array(content, f"weight_{i}"), _array(content, f"bias_{i}")) for i in layers)
-    if _number(content, "layers") != len(layers) or not layers:
-        raise ValueError(f"layers is {content['layers']}, and there are weights of {len(layers)}")
-    for name in ("std", "clip", "p_gain"):
-        if not np.all(fields[name] > 0):
-            raise ValueError(f"{name} is to be above 0")
-    for name in ("samples", "speed", "d_gain"):
-        if not np.all(fields[name] >= 0):
-            raise ValueError(f"{name} is to be at least 0")
-    if "commands" in content:
-        fields["commands"] = _array(content, "commands")
-    if GRU_ARRAYS[0] in content:
-        fields["gru"] = Gru(*(_array(content, name) for name in GRU_ARRAYS))
-    if MIRROR_ARRAYS[0] in content:
-        fields["mirror"] = Mirror(*(_integers(content, name) for name in MIRROR_ARRAYS))
-    return fields
-
-
-def _layers(content: Mapping[str, np.ndarray]) -> int:
-    """Layers that a file has weights of."""
-    return sum(name.startswith("weight_") for name in content)
-
-
-def _array(content: Mapping[str, np.ndarray], name: str) -> np.ndarray:
-    """The array of that name. Raise ValueError unless it holds finite numbers."""
-    array = content[name]
-    if array.dtype.kind not in "fiu":
-        raise ValueError(f"{name} does not hold numbers")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} holds NaN or infinity")
-    return array
-
-
-def _integers(content: Mapping[str, np.ndarray], name: str) -> np.ndarray:
-    """The list of that name. Raise ValueError unless it holds integers."""
-    array = content[name]
-    if array.ndim != 1 or array.dtype.kind != "i":
-        raise ValueError(f"{name} is not a list of integers")
-    return array
-
-
-def _number(content: Mapping[str, np.ndarray], name: str) -> float:
-    """The number of that name. Raise ValueError if it is none, or not finite."""
-    array = _array(content, name)
-    if array.ndim:
-        raise ValueError(f"{name} has shape {array.shape} and is to be one number")
-    return float(array)
-
-
-def _texts(content: Mapping[str, np.ndarray], name: str) -> tuple[str, ...]:
-    """The lines of text of that name. Raise ValueError if it holds anything else."""
-    array = content[name]
-    if array.ndim != 1 or array.dtype.kind != "U":
-        raise ValueError(f"{name} is not a list of texts")
-    return tuple(array.tolist())
 
 
 def _check_fit(policy: NumpyPolicy, path: Path) -> None:

@@ -10,7 +10,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from cassie_mjx.agents.numpy_policy import FORMAT, GRU_ARRAYS, MIRROR_ARRAYS, NumpyPolicy
+from cassie_mjx.agents.numpy_policy import FORMAT, NumpyPolicy
+from cassie_mjx.agents.policy_arrays import GRU_ARRAYS, MIRROR_ARRAYS
 from cassie_mjx.agents.saved_law import control_law, file_mirror
 from cassie_mjx.control.law import ControlLaw
 from cassie_mjx.control.network import KIND, RECURRENT_KIND

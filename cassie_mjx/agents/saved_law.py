@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from cassie_mjx.agents.numpy_policy import Mirror, NumpyPolicy
+from cassie_mjx.agents.numpy_policy import NumpyPolicy
+from cassie_mjx.agents.policy_arrays import Mirror
 from cassie_mjx.control.law import ControlLaw
 from cassie_mjx.control.observation import OBSERVATIONS, Seen
 from cassie_mjx.robot import cassie
