@@ -58,7 +58,7 @@ def tick(motion: ReferenceMotion, state: MotionState) -> MotionState:
 def onward(motion: ReferenceMotion, time: Array, command: Command, steps: int = 1) -> Array:
     """The motion's time [B], 0 or 1 `steps` later: it rests with robots that stand, once a foot has landed."""
     walks = namespace(time, command.forward).asarray(command.stand) < 1
-    return time + steps * (walks | (_since_landing(motion, time) > 0))
+    return time + steps * (walks | (since_landing(motion, time) > 0))
 
 
 def follow(state: MotionState, lead: Array, aside: Array, leash_m: Array | float) -> MotionState:
@@ -92,11 +92,11 @@ def toward(motion: ReferenceMotion, command: Command, target: Command, time: Arr
     xp, ramp = namespace(command.forward, qvel), CONTROL_PERIOD_S / STAND_S
     calm_mps = xp.where(command.stand == 1, STEP_OUT_MPS, SWAY_MPS)
     calm = xp.square(qvel[:, cassie.HORIZONTAL_VELOCITY]).sum(axis=-1) < calm_mps**2
-    since_landing = _since_landing(motion, time)
+    steps_since = since_landing(motion, time)
     # Between landings the change goes on. On the way to standing, `stand` is below 0.5 in the first half of its time.
-    comes_to_stand = (command.stand > 0) & ((command.stand > 0.5) == (since_landing * ramp > 0.5))
+    comes_to_stand = (command.stand > 0) & ((command.stand > 0.5) == (steps_since * ramp > 0.5))
     decides = target.stand * (command.on_the_spot & calm)
-    wanted = xp.where(since_landing == 0, decides, comes_to_stand)
+    wanted = xp.where(steps_since == 0, decides, comes_to_stand)
     stand = command.stand + xp.clip(wanted - command.stand, -ramp, ramp)
     speeding = RAMP_PER_S * mean_speed(motion)
     paces = xp.where(abs(target.forward) < abs(command.forward), BRAKING, speeding), LATERAL_PACE, YAW_PACE
@@ -105,7 +105,7 @@ def toward(motion: ReferenceMotion, command: Command, target: Command, time: Arr
     return Command(*moved, stand=stand)
 
 
-def _since_landing(motion: ReferenceMotion, time: Array) -> Array:
+def since_landing(motion: ReferenceMotion, time: Array) -> Array:
     """Control steps since a foot landed, [B]: strides begin so, and the second step in their middle."""
     return time % (motion.qpos.shape[0] // 2)
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cassie_mjx.control.command import LEAST_STRIDE, STEP_OUT_MPS, MotionState, reference
+from cassie_mjx.control.command import LEAST_STRIDE, STEP_OUT_MPS, MotionState, reference, since_landing
 from cassie_mjx.control.path import Path
 from cassie_mjx.motion.command import (
     FULL_STEERING_MPS,
@@ -82,8 +82,8 @@ def start_motion(
     """
     stands = (command.stand == 1) & (speed < STEP_OUT_MPS)
     now = command._replace(stand=stands.astype(command.forward.dtype))
-    zeros, half = jnp.zeros_like(command.forward), motion.qpos.shape[0] // 2
-    landed = jnp.where(stands, time // half * half, time)
+    zeros = jnp.zeros_like(command.forward)
+    landed = jnp.where(stands, time - since_landing(motion, time), time)
     state = MotionState(landed, jnp.zeros_like(time), now, command, zeros, Path(zeros, zeros, zeros))
     first, _ = reference(motion, state)
     return state._replace(origin_x=ground.uneven * (START_X_M - first[:, PELVIS_X]))

@@ -59,7 +59,7 @@ class WalkConfig(Checked):
     start_offset_m: Annotated[float, Range(0, 3)] = 0.0
     """How far to the left or right of the reference's line an episode may begin, m. It is drawn for each episode."""
     command_s: Annotated[float, Range(CONTROL_PERIOD_S, 3600)] | None = 4.0
-    """Mean time from one command to the next, s, where there is a range of them; four times that after one to stand.
+    """Mean time from one command to the next, s, where there is a range of them, four times that after one to stand;
     null for one an episode."""
     kd_scale: Annotated[float, Range(0, 1)] = 1.0
     """Factor on the published D gains of the PD law; with less, robots bear to sense and act later."""
