@@ -13,10 +13,12 @@ from cassie_mjx.motion.reference import sample
 from cassie_mjx.physics.make import make_physics
 from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.leg import pelvis_velocities
 from cassie_mjx.robot.model import MJX_TRAINING
 
 ROBOTS = 512
-SENSORS = OBSERVATIONS["sensors"]
+SENSORS, REMEMBERED = OBSERVATIONS["sensors"], OBSERVATIONS["sensors_history"]
+ODOMETRY = 6
 # Where MuJoCo's qpos and qvel have hip roll, yaw and pitch, knee, foot, shin and tarsus of the left and the right leg.
 ANGLES = (7, 8, 9, 14, 20, 15, 16, 21, 22, 23, 28, 34, 29, 30)
 SPEEDS = (6, 7, 8, 12, 18, 13, 14, 19, 20, 21, 25, 31, 26, 27)
@@ -42,20 +44,32 @@ REFERENCE = [(4, 5, 6, 7), (101, 102, 103), *ROBOT[1:]]
 
 
 def test_sensors_are_what_imu_and_encoders_tell():
-    """Four times what they tell now, as long as nothing else has been seen."""
+    """Six numbers between the robot's and the reference's follow from them: see `test_leg.py`."""
     seen = observe(SENSORS, *counted())[0]
-    robot = [number for term in ROBOT for number in 4 * term]
-    np.testing.assert_array_equal(seen, [*robot, *(1000 + number for term in REFERENCE for number in term)])
+    odometry = pelvis_velocities(*counted()[:2]).ravel()
+    robot, reference = ([number for term in half for number in term] for half in (ROBOT, REFERENCE))
+    np.testing.assert_array_equal(seen, [*robot, *odometry, *(1000 + number for number in reference)])
 
 
 def test_a_history_has_the_newest_first_and_of_the_robot_alone():
     """After steps that add 10,000 each: 4, 3, 2 and 1 of them, the fifth being forgotten."""
     steps = [seen_of(*(10_000 * k + numbers for numbers in counted())) for k in range(5)]
-    carry, observation = SENSORS.init(steps[0]), np.zeros((1, 0))
+    carry, observation = REMEMBERED.init(steps[0]), np.zeros((1, 0))
     for seen in steps:
-        observation, carry = SENSORS.update(carry, seen)
+        observation, carry = REMEMBERED.update(carry, seen)
+    newest_first = [steps[k] for k in (4, 3, 2, 1)]
     robot = [10_000 * k + number for term in ROBOT for k in (4, 3, 2, 1) for number in term]
-    np.testing.assert_array_equal(observation[0], [*robot, *(41_000 + n for term in REFERENCE for n in term)])
+    odometry = [number for seen in newest_first for number in pelvis_velocities(seen.qpos, seen.qvel).ravel()]
+    np.testing.assert_array_equal(
+        observation[0], [*robot, *odometry, *(41_000 + n for term in REFERENCE for n in term)]
+    )
+
+
+def test_a_history_begins_as_if_all_had_always_been_so():
+    once, seen = observe(SENSORS, *counted())[0], observe(REMEMBERED, *counted())[0]
+    parts = np.split(once, np.cumsum([term.size for term in SENSORS.terms])[:-1])
+    repeated = [np.tile(part, term.history) for part, term in zip(parts, REMEMBERED.terms, strict=True)]
+    np.testing.assert_array_equal(seen, np.concatenate(repeated))
 
 
 def test_sensors_tell_neither_place_nor_velocity_of_the_pelvis():
@@ -70,7 +84,8 @@ def test_an_estimate_is_the_full_state():
     estimated, full = OBSERVATIONS["estimated"], OBSERVATIONS["full"]
     np.testing.assert_array_equal(observe(estimated, *counted()), observe(full, *counted()))
     assert estimated.describe() == full.describe()
-    assert not full.noise.any()
+    assert estimated.noisy
+    assert not full.noisy
 
 
 @pytest.mark.parametrize("terms", OBSERVATIONS.values(), ids=OBSERVATIONS)
@@ -99,6 +114,7 @@ def start(engine, observation, key, symmetric=False):
     [
         ("estimated", (2, 4, 3, 3, 14, 14), (0.02, 0.01, 0.1, 0.2, 0.01, 0.2)),
         ("sensors", (4, 3, 14, 14), (0.01, 0.2, 0.01, 0.2)),
+        ("sensors_history", (4, 3, 14, 14), (0.01, 0.2, 0.01, 0.2)),
     ],
 )
 def test_noise_is_uniform_and_on_the_robot_alone(name, places, widths):
@@ -106,12 +122,21 @@ def test_noise_is_uniform_and_on_the_robot_alone(name, places, widths):
     noise = np.asarray(noisy) - np.asarray(clean)
     width, robot = np.repeat(widths, places), sum(places)
     now = np.concatenate([np.arange(0, term.size) + begin for term, begin in _beginnings(OBSERVATIONS[name])])
-    np.testing.assert_array_equal(noise[:, now][:, robot:], 0)
+    follows = 0 if name == "estimated" else ODOMETRY
+    np.testing.assert_array_equal(noise[:, now][:, robot + follows :], 0)
     noise = noise[:, now][:, :robot]
     assert (abs(noise) <= width + 1e-6).all()
     np.testing.assert_allclose(abs(noise).max(axis=0), width, rtol=0.05)
     # Half-width over sqrt 3 is the standard deviation of what is uniform.
     np.testing.assert_allclose(noise.std(axis=0), width / np.sqrt(3), rtol=0.15)
+
+
+def test_odometry_has_the_noise_of_the_sensors_that_it_is_made_of():
+    seen = np.asarray(start("native", "sensors", jax.random.key(3)).observation, float)
+    qpos, qvel = np.zeros((ROBOTS, cassie.NQ)), np.zeros((ROBOTS, cassie.NV))
+    qpos[:, [3, 4, 5, 6, *ANGLES]] = seen[:, [*range(4), *range(7, 21)]]
+    qvel[:, [3, 4, 5, *SPEEDS]] = seen[:, [*range(4, 7), *range(21, 35)]]
+    np.testing.assert_allclose(seen[:, 35:41], pelvis_velocities(qpos, qvel).reshape(-1, 6), atol=1e-5)
 
 
 def _beginnings(terms):

@@ -38,12 +38,12 @@ class ControlLaw:
         """The carry of robots that have always seen this, and of which the network remembers nothing."""
         return LawCarry(self.init(seen), start(network, len(seen.qpos)))
 
-    def observe(self, carry: Array, seen: Seen, noise: Array | float = 0.0) -> tuple[Array, Array]:
+    def observe(self, carry: Array, seen: Seen) -> tuple[Array, Array]:
         """What the policy acts on, [B, O], in a mirror if it is symmetric and this is the second step; the next carry.
 
         Arguments as those of `Observation.update`.
         """
-        observation, carry = self.observation.update(carry, seen, noise)
+        observation, carry = self.observation.update(carry, seen)
         if self.symmetric:
             observation = canonicalize(self.observation, observation, second_step(seen.reference_qpos))
         return observation, carry

@@ -1,4 +1,4 @@
-"""Observations as lists of terms: what is where, in which unit and frame, its mirror image, its noise and its history.
+"""Observations as lists of terms: what is where, in which unit and frame, its mirror image and its history.
 
 Array functions for NumPy and JAX alike, over robots (axis B). A new term is a line here; a list of terms has a name
 that the configuration of the task knows (`OBSERVATIONS`).
@@ -14,6 +14,7 @@ import numpy as np
 from cassie_mjx.motion.command import Command
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.arrays import Array, namespace
+from cassie_mjx.robot.leg import pelvis_velocities
 from cassie_mjx.robot.rotation import align
 
 
@@ -45,8 +46,6 @@ class Term:
     """[size], which of its numbers the mirror image in the plane y = 0 has in each place."""
     sign: np.ndarray
     """[size], with which sign."""
-    noise: float = 0.0
-    """Half-width of the uniform noise that training adds to each number, in the term's unit."""
     history: int = 1
     """Control steps that are observed, the present one included, newest first."""
 
@@ -61,16 +60,13 @@ class Observation:
     """A list of terms: lays them side by side, term by term, and each term's history newest first."""
 
     terms: tuple[Term, ...]
+    noisy: bool = False
+    """Whether training adds noise to the robot's state before the terms are computed from it (`NOISE`)."""
 
     @property
     def size(self) -> int:
         """Numbers in an observation, O."""
         return sum(term.size * term.history for term in self.terms)
-
-    @cached_property
-    def noise(self) -> np.ndarray:
-        """Half-widths of the noise on what one control step adds, [F]."""
-        return np.concatenate([np.full(term.size, term.noise, np.float32) for term in self.terms])
 
     @cached_property
     def mirror(self) -> tuple[np.ndarray, np.ndarray]:
@@ -88,18 +84,15 @@ class Observation:
         longest = max(term.history for term in self.terms)
         return namespace(frame).repeat(frame[:, None], longest - 1, axis=1)
 
-    def update(self, carry: Array, seen: Seen, noise: Array | float = 0.0) -> tuple[Array, Array]:
+    def update(self, carry: Array, seen: Seen) -> tuple[Array, Array]:
         """An observation [B, O], and the next carry.
 
         Args:
           carry: of `init` or the last `update`.
           seen: what there is to see now.
-          noise: added to the present frame, [B, F], in the terms' units.
         """
         frame = self._frame(seen)
         xp = namespace(frame)
-        if self.noise.any():
-            frame = frame + noise
         if not carry.shape[1]:
             return frame, carry
         frames = xp.concatenate([frame[:, None], carry], axis=1)
@@ -167,29 +160,46 @@ def _state_terms(half: str) -> tuple[Term, ...]:
     )
 
 
-NOISE = {"m": 0.02, "1": 0.01, "m/s": 0.1, "rad": 0.01, "rad/s": 0.2}
-"""Half-width of the noise on what is sensed or estimated, by its unit; 0.01 on a quaternion turns it by 0.02 rad.
+def _odometry() -> Term:
+    """How fast the pelvis moves as each leg tells, left and right."""
 
-Joint angles and the gyro as in mjlab's training. Joint velocities have nearly the standard deviation of roadrunner's,
-0.1 rad/s."""
+    def compute(seen: Seen) -> Array:
+        return pelvis_velocities(seen.qpos, seen.qvel).reshape(-1, 6)
+
+    name = "robot pelvis velocity by leg odometry: left, right"
+    return Term(name, "m/s", "world", compute, np.array([3, 4, 5, 0, 1, 2]), np.array([1, -1, 1, 1, -1, 1]))
+
+
+NOISE = {"m": 0.02, "1": 0.01, "m/s": 0.1, "rad": 0.01, "rad/s": 0.2}
+"""Half-width of the uniform noise on each number that is sensed or estimated, by its unit.
+
+0.01 on a quaternion turns it by 0.02 rad. Joint angles and the gyro as in mjlab's training. Joint velocities have
+nearly the standard deviation of roadrunner's, 0.1 rad/s."""
+
+NOISE_QPOS, NOISE_QVEL = np.zeros(cassie.NQ), np.zeros(cassie.NV)
+"""The same for each number of qpos, [35], and of qvel, [32]; 0 where nothing senses it."""
+NOISE_QPOS[cassie.PELVIS_POSITION], NOISE_QVEL[cassie.PELVIS_VELOCITY] = NOISE["m"], NOISE["m/s"]
+NOISE_QPOS[cassie.PELVIS_QUATERNION], NOISE_QVEL[cassie.PELVIS_ANGULAR_VELOCITY] = NOISE["1"], NOISE["rad/s"]
+NOISE_QPOS[cassie.ENCODER_QPOS], NOISE_QVEL[cassie.qvel_index(*cassie.ENCODERS)] = NOISE["rad"], NOISE["rad/s"]
 
 HISTORY = 4
-"""Control steps of what is sensed that a policy sees, the present one included: 0.128 s."""
+"""Control steps that "sensors_history" has of what is sensed, the present one included: 0.128 s."""
 
 _ROBOT, _REFERENCE = _state_terms("robot"), _state_terms("reference")
-_ESTIMATED = tuple(replace(term, noise=NOISE[term.unit]) for term in _ROBOT)
 # No sensor of the robot tells where its pelvis is, and how fast that moves.
-_SENSED = tuple(replace(term, history=HISTORY) for term in _ESTIMATED if term.unit not in ("m", "m/s"))
+_SENSED = (*(term for term in _ROBOT if term.unit not in ("m", "m/s")), _odometry())
 _NO_PLACE = tuple(term for term in _REFERENCE if term.unit != "m")
 
 OBSERVATIONS = {
     "full": Observation((*_ROBOT, *_REFERENCE)),
-    "estimated": Observation((*_ESTIMATED, *_REFERENCE)),
-    "sensors": Observation((*_SENSED, *_NO_PLACE)),
+    "estimated": Observation((*_ROBOT, *_REFERENCE), noisy=True),
+    "sensors": Observation((*_SENSED, *_NO_PLACE), noisy=True),
+    "sensors_history": Observation((*(replace(term, history=HISTORY) for term in _SENSED), *_NO_PLACE), noisy=True),
 }
 """Lists of terms by name.
 
 "full" is the 80-D state of Xie et al. 2018, "estimated" the same with noise in training. "sensors" has what the robot's
-IMU and encoders tell and told in the last steps, with noise in training. Its reference has a velocity, which shows the
-command, and no place.
+IMU and encoders tell, and what follows from that of the pelvis' velocity while a foot rests on the ground, with noise
+in training. Its reference has a velocity, which shows the command, and no place. "sensors_history" has it of the last
+steps, too.
 """

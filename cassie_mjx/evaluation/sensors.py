@@ -9,7 +9,7 @@ import numpy as np
 
 from cassie_mjx.agents.delegating import Delegating
 from cassie_mjx.agents.types import Agent, AgentState, Carry, Sensed
-from cassie_mjx.control.observation import NOISE
+from cassie_mjx.control.observation import NOISE_QPOS, NOISE_QVEL
 from cassie_mjx.evaluation.scheduler import run_trials
 from cassie_mjx.evaluation.setup import LIMIT_PHASES, LONG_WALK_S, WALK_S, EvalSetup, SuiteResult
 from cassie_mjx.evaluation.trial import Metric, Trial, take
@@ -25,11 +25,6 @@ TILTS_RAD, OFFSETS_RAD = (0.02, 0.05, 0.1), (0.01, 0.03)
 DRIFT_RADPS = float(np.deg2rad(1))
 
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
-# Half-widths of the noise on each number of qpos and qvel.
-_WIDTH_Q, _WIDTH_V = np.zeros(cassie.NQ), np.zeros(cassie.NV)
-_WIDTH_Q[cassie.PELVIS_POSITION], _WIDTH_V[cassie.PELVIS_VELOCITY] = NOISE["m"], NOISE["m/s"]
-_WIDTH_Q[cassie.PELVIS_QUATERNION], _WIDTH_V[cassie.PELVIS_ANGULAR_VELOCITY] = NOISE["1"], NOISE["rad/s"]
-_WIDTH_Q[cassie.ENCODER_QPOS], _WIDTH_V[cassie.qvel_index(*cassie.ENCODERS)] = NOISE["rad"], NOISE["rad/s"]
 
 
 class SensorErrors(NamedTuple):
@@ -71,7 +66,7 @@ class SensorErrors(NamedTuple):
         gyro = in_frame(tilted(_UPRIGHT, self.tilt), qvel[:, cassie.PELVIS_ANGULAR_VELOCITY])
         first, *_, last = cassie.PELVIS_ANGULAR_VELOCITY
         turning = jnp.concatenate([qvel[:, :first], gyro, qvel[:, last + 1 :]], axis=1)
-        return leaning + off[:, : cassie.NQ] * _WIDTH_Q, turning + off[:, cassie.NQ :] * _WIDTH_V
+        return leaning + off[:, : cassie.NQ] * NOISE_QPOS, turning + off[:, cassie.NQ :] * NOISE_QVEL
 
 
 class MisledCarry(NamedTuple):

@@ -12,16 +12,23 @@ import numpy as np
 
 from cassie_mjx.physics.types import BodyState
 from cassie_mjx.robot import cassie
+from cassie_mjx.robot.leg import (
+    HIP_TO_KNEE,
+    HIP_X,
+    HIP_Y,
+    KNEE_TO_SHIN,
+    PITCH_AXIS_DOWN,
+    PLANE_Y,
+    SHIN_TO_TARSUS,
+    TARSUS_TO_FOOT,
+    YAW_AXIS_BACK,
+)
 
-# Geometry of a leg, m, rad, from cassie.xml. The hip-roll axis passes the pelvis at (HIP_X, +-HIP_Y); behind it stands
-# the yaw axis, below it lies the pitch axis; the plane in which the links move is PLANE_Y inwards.
-HIP_X, HIP_Y = 0.021, 0.135
-YAW_AXIS_BACK, PITCH_AXIS_DOWN, PLANE_Y = 0.07, 0.09, 0.0045
 # Knee + tarsus: 13.1 degrees for a straight leg, 12.1 for one bent to the limit; this is the angle in a walk.
 KNEE_AND_TARSUS = np.deg2rad(12.6)
 # The two links as complex numbers: along the thigh + i forward of it; the shin's in the knee's frame.
-THIGH_AND_TARSUS = 0.12 + complex(0.408, -0.04) * np.exp(1j * KNEE_AND_TARSUS)
-SHIN = complex(0.06068 + 0.43476, 0.04741 + 0.02)
+THIGH_AND_TARSUS = HIP_TO_KNEE + TARSUS_TO_FOOT * np.exp(1j * KNEE_AND_TARSUS)
+KNEE_AND_SHIN = KNEE_TO_SHIN + SHIN_TO_TARSUS
 # Sum of the sagittal joint angles at which the sole, from heel to toe, is level: its direction is 90 degrees from down.
 LEVEL_FOOT = np.pi / 2 - np.arctan2(*(cassie.TOE - cassie.HEEL)[[1, 0]])
 
@@ -61,13 +68,13 @@ def inverse_kinematics(ankle: jax.Array, hip_yaw: jax.Array, side: jax.Array) ->
     roll = jnp.arctan2(z, y) - jnp.arctan2(z_2, y_2)
     z_l = z_2 + PITCH_AXIS_DOWN
     # L^2 = |A|^2 + |B|^2 + 2 |A| |B| cos(angle between A and B)
-    a, b = np.abs(THIGH_AND_TARSUS), np.abs(SHIN)
+    a, b = np.abs(THIGH_AND_TARSUS), np.abs(KNEE_AND_SHIN)
     cosine = (x_l**2 + z_l**2 - a**2 - b**2) / (2 * a * b)
     bend = -jnp.arccos(jnp.clip(cosine, -0.9999, 0.9999)) + np.angle(THIGH_AND_TARSUS)
     along = THIGH_AND_TARSUS.real + b * jnp.cos(bend)
     across = THIGH_AND_TARSUS.imag + b * jnp.sin(bend)
     pitch = jnp.arctan2(x_l, -z_l) - jnp.arctan2(across, along)
-    return jnp.stack([roll, hip_yaw, pitch, bend - np.angle(SHIN)])
+    return jnp.stack([roll, hip_yaw, pitch, bend - np.angle(KNEE_AND_SHIN)])
 
 
 def level_foot(hip_pitch: jax.Array, pelvis_pitch: jax.Array) -> jax.Array:

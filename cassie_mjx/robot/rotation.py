@@ -47,6 +47,14 @@ def in_frame(quaternion: Array, vector: Array) -> Array:
     return vector + w * t + xp.cross(t, u)
 
 
+def rotated(quaternion: Array, vector: Array) -> Array:
+    """Vectors in frames with these orientations [..., 4], [..., 3], in the world."""
+    xp, w, u = namespace(quaternion, vector), quaternion[..., :1], quaternion[..., 1:]
+    # R v = v + w t + u x t, with t = 2 u x v
+    t = 2 * xp.cross(u, vector)
+    return vector + w * t + xp.cross(u, t)
+
+
 def up_in_body(quaternion: Array) -> Array:
     """The world's z in frames with these orientations [..., 4], [..., 3]: the last row of the rotation matrix."""
     w, x, y, z = (quaternion[..., i] for i in range(4))
