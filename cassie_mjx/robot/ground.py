@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -118,8 +119,7 @@ class Ground:
 
 def height_below(ground: Ground, x: Array, y: Array) -> Array:
     """Height of the `Ground` [...] at x and y [...], m."""
-    begun = (abs(x - START_X_M) - LEVEL_M).clip(0, 1)
-    return smooth_height_below(ground, x, y) + ground.rough * begun * _noise(ground.seed, x, y)
+    return smooth_height_below(ground, x, y) + ground.rough * _roughness(ground.seed, x, y)
 
 
 def smooth_height_below(ground: Ground, x: Array, y: Array) -> Array:
@@ -135,12 +135,19 @@ def smooth_height_below(ground: Ground, x: Array, y: Array) -> Array:
     return ground.sine * xp.sin(x) + rise[..., 0] * climbed + rise[..., 1] * begun * y + ground.steps * tread
 
 
-def _noise(seed: Array, x: Array, y: Array) -> Array:
-    """Smooth noise of standard deviation 1/4, [...]: waves in all directions."""
+def _roughness(seed: Array, x: Array, y: Array) -> Array:
+    """Height of ground that is rough by 1 m, [...], m: waves in all directions, of standard deviation 1/4 m."""
     xp = namespace(seed, x)
     along_x, along_y, phase = xp.moveaxis(xp.asarray(WAVES, dtype=x.dtype)[seed], -1, 0)
     waves = xp.sin(along_x * x[..., None] + along_y * y[..., None] + phase)
-    return math.sqrt(2 / _WAVES_PER_GROUND) / 4 * waves.sum(axis=-1)
+    begun = (abs(x - START_X_M) - LEVEL_M).clip(0, 1)
+    return begun * math.sqrt(2 / _WAVES_PER_GROUND) / 4 * waves.sum(axis=-1)
+
+
+@lru_cache(maxsize=ROUGH_SEEDS)
+def _rough_field(seed: int, x: tuple[float, float, int], y: tuple[float, float, int]) -> np.ndarray:
+    """`_roughness` on a grid of evenly spaced x and y (first, last, number), [y, x], m."""
+    return _roughness(np.asarray(seed), *np.meshgrid(np.linspace(*x), np.linspace(*y)))
 
 
 def _draw_waves() -> np.ndarray:
@@ -178,12 +185,14 @@ def set_terrain(model: mujoco.MjModel, ground: Ground) -> None:
         raise ValueError(f"Ground with rough={ground.rough:g} needs the model with scene='rough'.")
     half_x, half_y = model.hfield_size[0, :2]
     floor = model.geom("floor").id
-    x = model.geom_pos[floor, 0] + np.linspace(-half_x, half_x, columns)
-    y = model.geom_pos[floor, 1] + np.linspace(-half_y, half_y, rows)
+    middle_x, middle_y = model.geom_pos[floor, :2]
+    x = (middle_x - half_x, middle_x + half_x, columns)
+    y = (middle_y - half_y, middle_y + half_y, rows)
     kinds = {field.name: int if field.name == "seed" else float for field in fields(Ground)}
     each = Ground(**{name: np.asarray(getattr(ground, name), kind)[None, None] for name, kind in kinds.items()})
-    height = height_below if ground.rough else smooth_height_below
-    z = height(each, *np.broadcast_arrays(x, y[:, None]))
+    z = smooth_height_below(each, np.linspace(*x), np.linspace(*y)[:, None])
+    if ground.rough:
+        z = z + float(ground.rough) * _rough_field(int(ground.seed), x, y)
     # MuJoCo wants a positive extent; a micrometre is flat.
     lowest, extent = z.min(), max(np.ptp(z), 1e-6)
     model.hfield_data[:] = ((z - lowest) / extent).ravel()
