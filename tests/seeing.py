@@ -16,7 +16,7 @@ from cassie_mjx.ppo import learner, normalizer
 from cassie_mjx.ppo.config import PPOConfig
 from cassie_mjx.robot import cassie
 
-FULL, SENSORS = OBSERVATIONS["full"], OBSERVATIONS["sensors"]
+FULL, SENSORS, REMEMBERED = (OBSERVATIONS[name] for name in ("full", "sensors", "sensors_history"))
 
 
 def lived(steps):
@@ -28,26 +28,26 @@ def lived(steps):
     return qpos, qvel, *sample(motion, np.arange(steps) + 1)
 
 
-def sensed_by_steps(steps):
-    """What a policy of `SENSORS` observes as it lives through that, [steps, O]."""
+def sensed_by_steps(steps, terms=SENSORS):
+    """What a policy that observes `terms` is given as it lives through that, [steps, O]."""
     observations, carry = [], None
     for step in zip(*lived(steps), strict=True):
         seen = Seen(*(part[None] for part in step))
-        observation, carry = SENSORS.update(SENSORS.init(seen) if carry is None else carry, seen)
+        observation, carry = terms.update(terms.init(seen) if carry is None else carry, seen)
         observations.append(observation[0])
     return np.array(observations, np.float32)
 
 
-def save_sensing_policy(path, seed=0, speed=1.0, bias=0.0, **ppo):
-    """Write a symmetric policy of random weights that observes `SENSORS`, with residuals of some tenths of a rad."""
+def save_sensing_policy(path, seed=0, speed=1.0, bias=0.0, terms=SENSORS, **ppo):
+    """Write a symmetric policy of random weights that observes `terms`, with residuals of some tenths of a rad."""
     states = Seen(*lived(300))
-    observed = jnp.asarray(SENSORS.update(SENSORS.init(states), states)[0], jnp.float32)
+    observed = jnp.asarray(terms.update(terms.init(states), states)[0], jnp.float32)
     config = PPOConfig(actor_output_scale=0.3, **ppo)
-    policy = learner.init(jax.random.key(seed), config, SENSORS.size, cassie.NU, 1).policy
+    policy = learner.init(jax.random.key(seed), config, terms.size, cassie.NU, 1).policy
     biased = jax.tree.map(lambda x: x + bias if x.ndim == 1 else x, policy.actor)
     policy = policy._replace(actor=biased, normalizer=normalizer.update(policy.normalizer, observed))
     motion = stretch(load_motion("walk"), speed)
-    save_policy(path, policy, motion, speed, 1.0, {}, law=ControlLaw(SENSORS, symmetric=True))
+    save_policy(path, policy, motion, speed, 1.0, {}, law=ControlLaw(terms, symmetric=True))
 
 
 def assert_controller_acts_as_agent(path):

@@ -5,11 +5,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from cassie_mjx.agents.make import make_agent
-from cassie_mjx.agents.types import sense
-from cassie_mjx.evaluation.setup import EvalSetup
-from cassie_mjx.motion.files import load_motion
-from cassie_mjx.physics.types import Scenario
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.leg import pelvis_velocities, soles
 from cassie_mjx.robot.model import xml_path

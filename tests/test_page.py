@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from seeing import SENSORS, save_sensing_policy
+from seeing import REMEMBERED, SENSORS, save_sensing_policy
 
 from cassie_mjx import export
 from cassie_mjx.agents import web_file
@@ -49,13 +49,21 @@ def node(program, content):
     return json.loads(done.stdout)
 
 
-@pytest.fixture(scope="module", params=["joystick", "1x-robust", "any", "sensors"])
+UNTRAINED = {
+    "sensors": {},
+    "sensors_history": {"terms": REMEMBERED},
+    "recurrent": {"bias": 0.1, "network": "gru", "hidden_sizes": (24, 16)},
+}
+"""Policies of random weights that need what Cassie senses alone."""
+
+
+@pytest.fixture(scope="module", params=["joystick", "1x-robust", "any", *UNTRAINED])
 def name(request, tmp_path_factory):
-    """Of a policy that ships, or the file of one of random weights that observes `SENSORS`."""
-    if request.param != "sensors":
+    """Of a policy that ships, or the file of one of `UNTRAINED`."""
+    if request.param not in UNTRAINED:
         return request.param
-    path = tmp_path_factory.mktemp("policy") / "sensors.npz"
-    save_sensing_policy(path)
+    path = tmp_path_factory.mktemp("policy") / f"{request.param}.npz"
+    save_sensing_policy(path, **UNTRAINED[request.param])
     return str(path)
 
 
@@ -287,14 +295,17 @@ def test_terms_that_the_page_cannot_compute_are_refused():
 
 
 def test_the_page_is_told_what_was_seen_when():
-    """Four frames of 35 numbers, the oldest last in each term, then the reference of now."""
-    place, age = web_file.sources(ControlLaw(SENSORS))
-    orientation, gyro, angles, velocities, reference = np.split(age, np.cumsum([16, 12, 56, 56]))
-    for term, size in ((orientation, 4), (gyro, 3), (angles, 14), (velocities, 14)):
+    """Four frames of 41 numbers, the oldest last in each term, then the reference of now."""
+    place, age = web_file.sources(ControlLaw(REMEMBERED))
+    *robot, reference = np.split(age, np.cumsum([16, 12, 56, 56, 24]))
+    for term, size in zip(robot, (4, 3, 14, 14, 6), strict=True):
         np.testing.assert_array_equal(term, np.repeat(np.arange(4), size))
-    assert len(reference) == SENSORS.size - 140
+    assert len(reference) == REMEMBERED.size - 4 * 41
     assert not reference.any()
     np.testing.assert_array_equal(place[:16], np.tile(np.arange(3, 7), 4))
+    # After qpos and qvel of robot and reference.
+    np.testing.assert_array_equal(place[140:164], np.tile(np.arange(134, 140), 4))
+    assert not web_file.sources(ControlLaw(SENSORS)).age.any()
 
 
 def test_the_guide_links_to_where_the_page_is_built():

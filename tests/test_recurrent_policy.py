@@ -10,7 +10,6 @@ import pytest
 from seeing import SENSORS, assert_controller_acts_as_agent, lived, save_sensing_policy, sensed_by_steps
 from tiny import TINY, halt_after_one, session
 
-from cassie_mjx.agents import web_file
 from cassie_mjx.agents.controller import Controller
 from cassie_mjx.agents.make import make_agent, make_policy_agent
 from cassie_mjx.agents.numpy_policy import NumpyPolicy
@@ -111,8 +110,6 @@ def test_the_file_says_what_it_is_and_a_call_without_memory_is_refused(path):
         policy.step(np.zeros(SENSORS.size), policy.start(1))
     with pytest.raises(ValueError, match=r"^The policy is recurrent; call policy\.step\(observation, hidden\)"):
         policy(np.zeros(SENSORS.size))
-    with pytest.raises(ValueError, match=r"^The page runs a perceptron, ReLU; teach .* a GRU, perceptron, ReLU\.$"):
-        web_file.content(policy, "gru")
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A policy that needs what Cassie senses alone: trained, resumed, saved, and run on NumPy and ONNX with its memory."""
+"""A policy that needs what Cassie senses alone, with a history of it: trained, resumed, and run on NumPy and ONNX."""
 
 import json
 
@@ -6,7 +6,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-from seeing import assert_controller_acts_as_agent, lived, save_sensing_policy, sensed_by_steps
+from seeing import REMEMBERED, assert_controller_acts_as_agent, lived, save_sensing_policy, sensed_by_steps
 from tiny import TINY, halt_after_one, session
 
 from cassie_mjx.agents.controller import Controller
@@ -16,13 +16,13 @@ from cassie_mjx.envs.config import WalkConfig
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.model import xml_path
 
-TASK = {"ppo": TINY, "walk": WalkConfig(observation="sensors", electronics=True)}
+TASK = {"ppo": TINY, "walk": WalkConfig(observation="sensors_history", electronics=True)}
 
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
     path = tmp_path_factory.mktemp("policy") / "sensors.npz"
-    save_sensing_policy(path)
+    save_sensing_policy(path, terms=REMEMBERED)
     return path
 
 
@@ -56,7 +56,7 @@ def test_onnx_runtime_acts_as_numpy_does(path, tmp_path):
     policy = NumpyPolicy.load(path)
     save_onnx(tmp_path / "sensors.onnx", policy, "sensors")
     opened = runtime.InferenceSession(str(tmp_path / "sensors.onnx"))
-    given = sensed_by_steps(300)
+    given = sensed_by_steps(300, REMEMBERED)
     (action,) = opened.run(["action"], {"observation": given})
     assert np.abs(action - policy(given)).max() < 1e-5
     described = json.loads(opened.get_modelmeta().custom_metadata_map["observation"])
@@ -72,7 +72,7 @@ def test_a_run_resumes_exactly_and_its_policy_walks(tmp_path):
     resumed.train()
     for a, b in zip(jax.tree.leaves(whole.run), jax.tree.leaves(resumed.run), strict=True):
         np.testing.assert_array_equal(a, b)
-    assert np.asarray(whole.run.env.sensing).shape == (TINY.num_robots, 3, 73)
+    assert np.asarray(whole.run.env.sensing).shape == (TINY.num_robots, 3, 79)
     model = mujoco.MjModel.from_xml_path(str(xml_path("flat")))
     controller, data = Controller.load(tmp_path / "whole", model), mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = controller.initial_state(data.qpos, data.qvel)

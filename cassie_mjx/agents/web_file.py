@@ -6,7 +6,7 @@ figures of robot, command and ground that the rest of this package keeps in one 
 
 import base64
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,17 +16,19 @@ from cassie_mjx.agents.numpy_policy import NumpyPolicy
 from cassie_mjx.agents.saved_law import control_law
 from cassie_mjx.control import command, path
 from cassie_mjx.control.law import ControlLaw
+from cassie_mjx.control.network import KIND
 from cassie_mjx.control.observation import Seen
 from cassie_mjx.files.atomic import write_text
 from cassie_mjx.motion.reference import QUATERNIONS, RAMP_PER_S, ReferenceMotion, mean_speed
 from cassie_mjx.motion.schedule import LIMITS
-from cassie_mjx.robot import cassie, ground
+from cassie_mjx.robot import cassie, ground, leg
+from cassie_mjx.robot.leg import pelvis_velocities
 
-FORMAT, VERSION = "cassie-mjx policy for the web", 2
+FORMAT, VERSION = "cassie-mjx policy for the web", 3
 """The page reads this version alone (`page/src/control/policy_file.js`)."""
 
 _SIZES = (cassie.NQ, cassie.NV, cassie.NQ, cassie.NV)
-"""Of what an observation is gathered from: qpos and qvel of the robot, then of the reference."""
+"""Of qpos and qvel of the robot, then of the reference."""
 
 
 def save_web(file: Path, policy: NumpyPolicy, name: str) -> None:
@@ -46,8 +48,8 @@ def save_web(file: Path, policy: NumpyPolicy, name: str) -> None:
 
 def content(policy: NumpyPolicy, name: str) -> dict[str, Any]:
     """What the file says, as JSON has it. Raises ValueError as `save_web` does."""
-    if policy.kind != "perceptron, ReLU":
-        raise ValueError(f"The page runs a perceptron, ReLU; teach `page/src/control/law.js` a {policy.kind}.")
+    if KIND != "perceptron, ReLU":
+        raise ValueError(f"The page runs a perceptron, ReLU; teach `page/src/control/network.js` a {KIND}.")
     law = control_law(policy)
     motion = ReferenceMotion(policy.reference_qpos, policy.reference_qvel, np.asarray(policy.reference_stride_length))
     permutation, sign = law.observation.mirror
@@ -61,6 +63,7 @@ def content(policy: NumpyPolicy, name: str) -> dict[str, Any]:
             "std": _packed(policy.std),
             "clip": policy.clip,
             "layers": [[_packed(weight), _packed(bias)] for weight, bias in policy.weights],
+            "gru": None if policy.gru is None else {name: _packed(part) for name, part in policy.gru._asdict().items()},
         },
         "observation": {
             **{name: places.tolist() for name, places in sources(law)._asdict().items()},
@@ -84,7 +87,7 @@ class Sources(NamedTuple):
     """Where each number of an observation comes from."""
 
     place: np.ndarray
-    """[O], of qpos, qvel, and those of the reference, side by side."""
+    """[O], of qpos, qvel, those of the reference, and leg odometry (`robot.leg`), side by side."""
     age: np.ndarray
     """[O], control steps: how long ago it was seen."""
 
@@ -93,27 +96,38 @@ def sources(law: ControlLaw) -> Sources:
     """Where the numbers of an observation come from.
 
     Raises:
-      ValueError: an observation is more than a choice of numbers of the state and of the reference, now and before.
+      ValueError: an observation is more than a choice of numbers of the state, of the reference and of leg odometry,
+        now and before.
     """
-    count, frames = sum(_SIZES), 1 + law.init(_seen(np.zeros(sum(_SIZES)))).shape[1]
-    numbers = 1 + np.arange(frames * count).reshape(frames, count)
-    places = np.rint(_observed(law, numbers)).astype(int) - 1
-    other = np.random.default_rng(0).uniform(0.1, 1.0, numbers.shape)
-    if not (np.isin(places, numbers - 1).all() and np.array_equal(_observed(law, other), other.ravel()[places])):
+    draw, frames = np.random.default_rng(0), 1 + law.init(_seen(np.zeros(sum(_SIZES)))).shape[1]
+    once, again = (_shown(law, draw.uniform(0.1, 1.0, (frames, sum(_SIZES)))) for _ in range(2))
+    found = np.array([np.append(np.flatnonzero(number == once.offered), -1)[0] for number in once.observed])
+    if (found < 0).any() or not np.array_equal(again.observed, again.offered.ravel()[found]):
         raise ValueError(
-            "The page shows a policy numbers of the state and of the reference alone, and this one observes more; "
-            "teach `page/src/control/law.js` its terms."
+            "The page shows a policy numbers of the state, of the reference and of leg odometry alone, and this one "
+            "observes more; teach `page/src/control/law.js` its terms."
         )
-    return Sources(place=places % count, age=places // count)
+    count = once.offered.shape[1]
+    return Sources(place=found % count, age=found // count)
 
 
-def _observed(law: ControlLaw, numbers: np.ndarray) -> np.ndarray:
-    """The observation [O] of one robot; its states and references are `numbers` [H, N], side by side, newest first."""
+class _Shown(NamedTuple):
+    """What one robot observes, and what that may be chosen from."""
+
+    observed: np.ndarray
+    """[O]."""
+    offered: np.ndarray
+    """[H, N], newest first."""
+
+
+def _shown(law: ControlLaw, numbers: np.ndarray) -> _Shown:
+    """Of a robot whose states and references are `numbers` [H, N], side by side, newest first."""
     *before, now = (_seen(frame) for frame in numbers[::-1])
     carry = law.init(before[0] if before else now)
     for seen in before:
         _, carry = law.observation.update(carry, seen)
-    return law.observation.update(carry, now)[0][0]
+    odometry = [pelvis_velocities(seen.qpos, seen.qvel).ravel() for seen in (now, *before[::-1])]
+    return _Shown(law.observation.update(carry, now)[0][0], np.concatenate([numbers, odometry], axis=1))
 
 
 def _seen(numbers: np.ndarray) -> Seen:
@@ -138,6 +152,24 @@ def _robot(joints: Sequence[str]) -> dict[str, Any]:
         "gear": cassie.GEAR.tolist(),
         "pelvis_body": cassie.PELVIS_BODY,
         "fall_m": [cassie.FALL_LOW_M, cassie.FALL_HIGH_M],
+        "leg": _leg(),
+    }
+
+
+def _leg() -> dict[str, Any]:
+    """Geometry of a leg, and where a state has the joints of the left and of the right one (`robot.leg`)."""
+
+    def places(index: Callable[..., np.ndarray]) -> list[list[int]]:
+        return [index(*(f"{side}-{joint}" for joint in leg.JOINTS)).tolist() for side in cassie.SIDES]
+
+    return {
+        "hip_m": [leg.HIP_X, leg.HIP_Y],
+        "yaw_axis_back_m": leg.YAW_AXIS_BACK,
+        "pitch_axis_down_m": leg.PITCH_AXIS_DOWN,
+        "plane_m": leg.PLANE_Y,
+        "links_m": [[link.real, link.imag] for link in leg.LINKS.tolist()],
+        "qpos": places(cassie.qpos_index),
+        "qvel": places(cassie.qvel_index),
     }
 
 

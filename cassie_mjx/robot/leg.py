@@ -1,7 +1,5 @@
 """Geometry of Cassie's legs, and leg odometry: the velocity of a pelvis whose foot rests; for NumPy and JAX alike."""
 
-from collections.abc import Callable, Iterable
-
 import numpy as np
 
 from cassie_mjx.robot import cassie
@@ -17,20 +15,15 @@ YAW_AXIS_BACK, PITCH_AXIS_DOWN, PLANE_Y = 0.07, 0.09, 0.0045
 HIP_TO_KNEE, KNEE_TO_SHIN = 0.12 + 0j, 0.06068 + 0.04741j
 SHIN_TO_TARSUS, TARSUS_TO_FOOT = 0.43476 + 0.02j, 0.408 - 0.04j
 
-_LINKS = np.array([HIP_TO_KNEE, KNEE_TO_SHIN, SHIN_TO_TARSUS, TARSUS_TO_FOOT, complex(*cassie.SOLE_AXIS[:2])])
-_IN_PLANE = ("hip-pitch", "knee", "shin", "tarsus", "foot")
+LINKS = np.array([HIP_TO_KNEE, KNEE_TO_SHIN, SHIN_TO_TARSUS, TARSUS_TO_FOOT, complex(*cassie.SOLE_AXIS[:2])])
+"""The links of the plane one after the other, down to the middle of the foot's capsule, [5]."""
 
+JOINTS = ("hip-roll", "hip-yaw", "hip-pitch", "knee", "shin", "tarsus", "foot")
+"""Joints between pelvis and foot that have an encoder; the last five turn about axes across the plane."""
 
-def _of_both_legs(index: Callable[..., np.ndarray], joints: Iterable[str]) -> np.ndarray:
-    """Addresses of these joints of the left and of the right leg, [2, n]."""
-    joints = tuple(joints)
-    return np.stack([index(*(f"{side}-{joint}" for joint in joints)) for side in cassie.SIDES])
-
-
-_PLANE_QPOS, _PLANE_QVEL = (_of_both_legs(index, _IN_PLANE) for index in (cassie.qpos_index, cassie.qvel_index))
-_ROLL_QPOS, _ROLL_QVEL, _YAW_QPOS, _YAW_QVEL = (
-    _of_both_legs(index, [joint])[:, 0]
-    for joint in ("hip-roll", "hip-yaw")
+# Addresses of these joints of the left and of the right leg, [2, 7].
+_QPOS, _QVEL = (
+    np.stack([index(*(f"{side}-{joint}" for joint in JOINTS)) for side in cassie.SIDES])
     for index in (cassie.qpos_index, cassie.qvel_index)
 )
 
@@ -46,20 +39,21 @@ def soles(qpos: Array, qvel: Array) -> tuple[Array, Array]:
       qvel: of the robots, [B, 32].
     """
     xp, outwards = namespace(qpos), np.array([1.0, -1.0])
+    angles, rates = qpos[:, _QPOS], qvel[:, _QVEL]
     # In the plane of the links: p = sum_k e^(i a_k) l_k, with a_k the sum of the angles of joints 1 to k
-    angle, rate = xp.cumsum(qpos[:, _PLANE_QPOS], axis=2), xp.cumsum(qvel[:, _PLANE_QVEL], axis=2)
-    down = xp.cos(angle) * _LINKS.real - xp.sin(angle) * _LINKS.imag
-    forward = xp.sin(angle) * _LINKS.real + xp.cos(angle) * _LINKS.imag
+    angle, rate = xp.cumsum(angles[..., 2:], axis=2), xp.cumsum(rates[..., 2:], axis=2)
+    down = xp.cos(angle) * LINKS.real - xp.sin(angle) * LINKS.imag
+    forward = xp.sin(angle) * LINKS.real + xp.cos(angle) * LINKS.imag
     x, z = forward.sum(axis=2), -PITCH_AXIS_DOWN - down.sum(axis=2)
     dx, dz = (rate * down).sum(axis=2), (rate * forward).sum(axis=2)
     y = xp.zeros_like(x) - PLANE_Y * outwards
     # Turned by the yaw, about z: p' = R p and dp'/dt = R (dp/dt + omega x p)
-    yaw_rate, yaw = qvel[:, _YAW_QVEL], qpos[:, _YAW_QPOS]
+    yaw, yaw_rate = angles[..., 1], rates[..., 1]
     dx, dy = _split(turned(xp.stack([dx - yaw_rate * y, yaw_rate * x], axis=-1), yaw))
     x, y = _split(turned(xp.stack([x, y], axis=-1), yaw))
     x = x - YAW_AXIS_BACK
     # Turned by the roll, about x, likewise.
-    roll_rate, roll = qvel[:, _ROLL_QVEL], qpos[:, _ROLL_QPOS]
+    roll, roll_rate = angles[..., 0], rates[..., 0]
     dy, dz = _split(turned(xp.stack([dy - roll_rate * z, dz + roll_rate * y], axis=-1), roll))
     y, z = _split(turned(xp.stack([y, z], axis=-1), roll))
     return xp.stack([x + HIP_X, y + HIP_Y * outwards, z], axis=-1), xp.stack([dx, dy, dz], axis=-1)

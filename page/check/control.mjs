@@ -5,7 +5,8 @@
 import {readFileSync} from "node:fs";
 import {begin, step} from "../src/control/controller.js";
 import {heightBelow} from "../src/control/ground.js";
-import {action, frame, history, observe, residual, torques} from "../src/control/law.js";
+import {frame, history, observe, residual, torques} from "../src/control/law.js";
+import {act, start} from "../src/control/network.js";
 import {readPolicy} from "../src/control/policy_file.js";
 import {mirrored} from "../src/control/state.js";
 
@@ -13,18 +14,20 @@ const input = JSON.parse(readFileSync(0, "utf8"));
 const policy = readPolicy(readFileSync(input.policy, "utf8"));
 
 const observed = input.observed.map(({state, reference}) => {
-  const frames = Array(1 + history(policy)).fill(frame(state, reference));
-  const observation = observe(policy, frames);
+  const frames = Array(1 + history(policy)).fill(frame(policy, state, reference));
+  const observation = observe(policy, frames), hidden = start(policy.network);
   return {
     observation,
     mirrored: mirrored(observation, policy.observation.mirror),
-    action: action(policy.network, observation),
-    residual: residual(policy, observation, reference.qpos),
+    action: act(policy.network, observation, hidden).action,
+    residual: residual(policy, observation, reference.qpos, hidden).action,
     torque: torques(policy, reference.qpos.slice(0, 10), state.qpos, state.qvel),
   };
 });
 
-const steps = input.steps.map(({carry, qpos, qvel, target}) => step(policy, carry, qpos, qvel, target));
+const steps = input.steps.map(({carry, qpos, qvel, target}) =>
+  step(policy, {...begin(policy), ...carry}, qpos, qvel, target),
+);
 
 let carry = begin(policy);
 const walk = input.walk.map(({qpos, qvel, target}) => {

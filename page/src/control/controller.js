@@ -3,13 +3,14 @@
 import {onward, toward} from "./command.js";
 import {frame, history, observe, residual, targets} from "./law.js";
 import {ownCommand, sample} from "./motion.js";
+import {start} from "./network.js";
 import {WORLD, bendBeside, into, stayBeside} from "./path.js";
 import {X} from "./state.js";
 
-// What a policy carries from step to step: control step of the motion, path, command of now, and what it saw before,
-// newest first, which is null until it sees anything: then it has always seen that.
+// What a policy carries from step to step: control step of the motion, path, command of now, what its network carries,
+// and what it saw before, newest first, which is null until it sees anything: then it has always seen that.
 export function begin(policy) {
-  return {time: 0, path: WORLD, command: ownCommand(policy), frames: null};
+  return {time: 0, path: WORLD, command: ownCommand(policy), hidden: start(policy.network), frames: null};
 }
 
 // PD targets [10], rad, on the way to a target command, and the next carry.
@@ -22,13 +23,13 @@ export function step(policy, carry, qpos, qvel, target) {
   const beside = stayBeside(carry.path, command, now, qpos, qvel, steering.leash_m);
   const later = onward(policy, carry.time, command);
   const seen = into(beside, qpos, qvel), ahead = sample(policy, later, command);
-  const frames = [frame(seen, ahead), ...(carry.frames ?? alwaysSeen(policy, carry.time, qpos, qvel))];
-  const residuals = residual(policy, observe(policy, frames), ahead.qpos);
+  const frames = [frame(policy, seen, ahead), ...(carry.frames ?? alwaysSeen(policy, carry.time, qpos, qvel))];
+  const {action, hidden} = residual(policy, observe(policy, frames), ahead.qpos, carry.hidden);
   const path = bendBeside(beside, command, now, ahead.qpos, seen.qpos[X], period);
-  const next = {time: later % reference.qpos.length, path, command, frames: frames.slice(0, history(policy))};
-  return {targets: targets(policy, ahead.qpos, residuals), carry: next};
+  const next = {time: later % reference.qpos.length, path, command, hidden, frames: frames.slice(0, history(policy))};
+  return {targets: targets(policy, ahead.qpos, action), carry: next};
 }
 
 function alwaysSeen(policy, time, qpos, qvel) {
-  return Array(history(policy)).fill(frame({qpos, qvel}, sample(policy, time + 1, ownCommand(policy))));
+  return Array(history(policy)).fill(frame(policy, {qpos, qvel}, sample(policy, time + 1, ownCommand(policy))));
 }

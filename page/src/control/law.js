@@ -1,13 +1,16 @@
-// From what a robot senses to its PD targets, as cassie_mjx/control/law.py and network.py have it, for one robot.
+// From what a robot senses to its PD targets, as cassie_mjx/control/law.py has it, for one robot.
 
+import {pelvisVelocities} from "./leg.js";
+import {act} from "./network.js";
 import {align} from "./rotation.js";
 import {ORIENTATION, clip, gather, mirrored} from "./state.js";
 
-// What observations are gathered from: a state in the path's frame and the reference, side by side.
-export function frame(state, reference) {
+// What observations are gathered from: a state in the path's frame, the reference, and leg odometry, side by side.
+export function frame({robot}, state, reference) {
   const [from, to] = ORIENTATION, qpos = Float64Array.from(state.qpos);
   qpos.set(align(Array.from(qpos.slice(from, to)), reference.qpos.slice(from, to)), from);
-  return [...qpos, ...state.qvel, ...reference.qpos, ...reference.qvel];
+  const odometry = pelvisVelocities(robot, state.qpos, state.qvel);
+  return [...qpos, ...state.qvel, ...reference.qpos, ...reference.qvel, ...odometry];
 }
 
 // How many earlier frames the policy observes.
@@ -20,11 +23,13 @@ export function observe({observation: {place, age}}, frames) {
   return place.map((number, i) => frames[age[i]][number]);
 }
 
-// Residuals on the reference angles of the active joints, [10], rad; the second step is taken as in a mirror.
-export function residual(policy, observation, referenceQpos) {
-  if (!policy.symmetric || !isSecondStep(policy, referenceQpos)) return action(policy.network, observation);
-  const image = action(policy.network, mirrored(observation, policy.observation.mirror));
-  return mirrored(image, policy.robot.mirror);
+// Residuals on the reference angles of the active joints, [10], rad, the second step being taken as in a mirror; and
+// what the network carries on.
+export function residual(policy, observation, referenceQpos, hidden) {
+  const {network, robot, observation: {mirror}} = policy;
+  if (!policy.symmetric || !isSecondStep(policy, referenceQpos)) return act(network, observation, hidden);
+  const image = act(network, mirrored(observation, mirror), hidden);
+  return {...image, action: mirrored(image.action, robot.mirror)};
 }
 
 // PD targets [10], rad: q* = q_ref + a.
@@ -44,24 +49,4 @@ export function torques({p_gain, d_gain, robot}, target, qpos, qvel) {
 function isSecondStep({robot}, referenceQpos) {
   const [left, right] = gather(referenceQpos, robot.hip_pitch_qpos);
   return left < right;
-}
-
-// The deterministic action for an observation, within +-1, [10], rad.
-export function action({mean, std, clip: most, layers}, observation) {
-  let x = observation.map((value, i) => clip((value - mean[i]) / std[i], -most, most));
-  layers.forEach((layer, i) => {
-    x = product(layer, x);
-    if (i < layers.length - 1) x = x.map((value) => Math.max(value, 0));
-  });
-  return Array.from(x, Math.tanh);
-}
-
-// x W + b, with W [inputs, outputs] row by row.
-function product({weight, bias}, x) {
-  const outputs = bias.length, y = Float64Array.from(bias);
-  for (let i = 0; i < x.length; i++) {
-    if (x[i] === 0) continue;
-    for (let j = 0; j < outputs; j++) y[j] += x[i] * weight[i * outputs + j];
-  }
-  return y;
 }

@@ -1,6 +1,6 @@
 // The file of a policy for this page, which `python -m cassie_mjx.export policy=NAME web=FOLDER` writes.
 
-export const FORMAT = "cassie-mjx policy for the web", VERSION = 2;
+export const FORMAT = "cassie-mjx policy for the web", VERSION = 3;
 
 // The policy of a file's text. Throws an Error of one sentence if it is none, or of another version.
 export function readPolicy(text) {
@@ -35,9 +35,14 @@ function policyOf(file) {
       mean: unpacked(network.mean),
       std: unpacked(network.std),
       layers: network.layers.map(([weight, bias]) => ({weight: unpacked(weight), bias: unpacked(bias)})),
+      gru: network.gru && mapped(network.gru, unpacked),
     },
     reference: {qpos: reference.qpos, qvel: reference.qvel, strideLength: reference.stride_length_m},
   };
+}
+
+function mapped(object, change) {
+  return Object.fromEntries(Object.entries(object).map(([name, value]) => [name, change(value)]));
 }
 
 // An array from its shape and its little-endian float32 numbers in base64.
@@ -51,10 +56,9 @@ function unpacked({shape, float32}) {
 
 function checked(policy) {
   const {network, reference, observation, robot} = policy;
-  const widths = [observation.place.length, ...network.layers.map(({bias}) => bias.length)];
-  const fits = network.layers.every(({weight}, i) => weight.length === widths[i] * widths[i + 1]);
-  const inputs = [network.mean, network.std, observation.age].every(({length}) => length === widths[0]);
-  if (!fits || !inputs) {
+  const observed = observation.place.length, widths = network.layers.map(({bias}) => bias.length);
+  const inputs = [network.mean, network.std, observation.age].every(({length}) => length === observed);
+  if (!inputs || !fits(network, observed)) {
     throw new Error("the sizes of its network do not fit together");
   }
   if (widths.at(-1) !== robot.joints.length) throw new Error("it does not drive each joint");
@@ -62,4 +66,14 @@ function checked(policy) {
     throw new Error("its reference motion has no samples, or not as many velocities");
   }
   return policy;
+}
+
+// Whether the arrays of a network that is given `observed` numbers have the sizes of one another.
+function fits({gru, layers}, observed) {
+  const carried = gru?.recurrent_bias.length ?? observed, gates = 3 * carried;
+  const widths = [carried, ...layers.map(({bias}) => bias.length)];
+  const remembers =
+    !gru ||
+    (gru.kernel.length === observed * gates && gru.recurrent.length === carried * gates && gru.bias.length === gates);
+  return remembers && layers.every(({weight}, i) => weight.length === widths[i] * widths[i + 1]);
 }

@@ -27,6 +27,16 @@ export function align(q, reference) {
   return dot(q, reference) < 0 ? q.map((part) => -part) : q;
 }
 
+// A vector in a frame with orientation q, in the world: v + w t + u x t, with t = 2 u x v.
+export function rotated([w, ...u], v) {
+  const t = cross(u, v).map((part) => 2 * part), aside = cross(u, t);
+  return v.map((part, i) => part + w * t[i] + aside[i]);
+}
+
+export function cross([a, b, c], [x, y, z]) {
+  return [b * z - c * y, c * x - a * z, a * y - b * x];
+}
+
 export function dot(a, b) {
   return a.reduce((sum, part, i) => sum + part * b[i], 0);
 }
