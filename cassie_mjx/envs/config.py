@@ -64,8 +64,9 @@ class WalkConfig(Checked):
     kd_scale: Annotated[float, Range(0, 1)] = 1.0
     """Factor on the published D gains of the PD law; with less, robots bear to sense and act later."""
     observation: str = "full"
-    """What the policy observes: "full", the 80-D state of the paper; "estimated", the same with noise; or "sensors",
-    what IMU and encoders told in the last four steps, with noise: neither place nor velocity of the pelvis."""
+    """What the policy observes: "full", the 80-D state of the paper; "estimated", the same with noise; "sensors", what
+    IMU and encoders tell, with noise, and leg odometry from it: neither place nor velocity of the pelvis; or
+    "sensors_history", the same of the last four steps."""
     symmetric: bool | None = None
     """Whether the policy learns one of the stride's two steps and sees and acts in the other as in a mirror; null: if
     the second step of the reference motion is the mirror image of its first."""
