@@ -96,6 +96,16 @@ def test_a_curriculum_pushes_each_robot_in_a_direction_and_up_to_a_level_of_its_
     np.testing.assert_array_equal(eighth, np.tile(np.arange(8), (500, 1)))
 
 
+def test_terrain_and_delay_grow_with_the_level_of_the_curriculum():
+    """From none at 0.1 to all at 0.4: at 0.25 half of both, four levels of eight and ten steps of twenty."""
+    config = replace(ALL, push_curriculum=True, terrain_m=0.8, delay_s=0.04)
+    level = jnp.repeat(jnp.array([0.1, 0.25, 0.4, 1.0]), 500)
+    drawn = draw_scenario(config, jax.random.key(0), 2000, 500, level=level)
+    highest, latest = (np.asarray(each).reshape(4, 500).max(axis=1) for each in (drawn.ground.sine, drawn.delay))
+    np.testing.assert_allclose(highest, [0, 0.4, 0.8, 0.8], rtol=1e-6)
+    np.testing.assert_array_equal(latest, [0, 10, 20, 20])
+
+
 def test_a_level_rises_with_a_push_that_is_over_and_drops_with_a_fall():
     present = replace(Scenario.nominal(4), push_stop=np.full((4, 1), 100, np.int32))
     level, step = jnp.array([0.5, 0.5, 0.12, 0.995]), np.array([99, 100, 99, 100])

@@ -22,6 +22,8 @@ LEVELS = 8
 """Levels above 0 that terrain is drawn from, evenly spaced: MuJoCo C compiles a model for each."""
 LEVEL_UP, LEVEL_DOWN, LEAST_LEVEL = 0.01, 0.04, 0.1
 """How a level of the curriculum moves: it settles where four of five pushes are survived."""
+ALL_LEVEL = 0.4
+"""The level of the curriculum from which on terrain and delay are drawn from their whole ranges."""
 TRAINING_SEEDS = 4
 """Rough grounds that robots are trained on, of `ROUGH_SEEDS`."""
 # What the key of a scenario is folded with for the dynamics; up to 4 it would give the others' keys again.
@@ -36,9 +38,9 @@ class ScenarioConfig(Checked):
     """Force of a push at the pelvis, N: horizontal, in any direction, for 0.2 s, one push after the
     other."""
     push_curriculum: bool = False
-    """Whether pushes grow as robots learn to bear them. Every robot has a direction of its own that it is pushed in,
-    and a level, from 0.1 to 1: its pushes are drawn up to `push_n` times the level, which rises with each push that is
-    over and drops with each fall."""
+    """Whether disturbances grow as robots learn to bear pushes. Every robot has a direction of its own that it is pushed
+    in, and a level, from 0.1 to 1: its pushes are drawn up to `push_n` times the level, which rises with each push that
+    is over and drops with each fall. Terrain and delay grow with it, from none at 0.1 to all at 0.4."""
     undisturbed_share: Annotated[float, Range(0, 1)] = 0.0
     """Share of the robots that nothing of this disturbs, so that walking undisturbed is still practised."""
     push_backward: Annotated[float, Range(0, 1)] = 1.0
@@ -102,7 +104,7 @@ def draw_scenario(
       robots: B.
       physics_hz: physics steps a second.
       kd_scale: factor on the D gains of all robots.
-      level: of the curriculum, [B]: share of `config.push_n` that pushes are drawn up to.
+      level: of the curriculum, [B]: share of `config.push_n` that pushes are drawn up to; see `ALL_LEVEL`.
       dynamics: how far robots differ from the model; None for not at all.
     """
     force_key, direction_key, pause_key, terrain_key, delay_key = jax.random.split(key, 5)
@@ -112,6 +114,7 @@ def draw_scenario(
     if config.push_curriculum:
         # Each of the n disturbed robots has an n-th of the circle.
         angle = (2 * jnp.pi * jnp.arange(robots) + angle) / jnp.maximum(acts.sum(), 1)
+    share = jnp.clip((jnp.full(robots, level) - LEAST_LEVEL) / (ALL_LEVEL - LEAST_LEVEL), 0, 1)
     forward, left = jnp.cos(angle), jnp.sin(angle)
     forward *= jnp.where(forward < 0, config.push_backward, 1)
     # A push starts with a control step: within one, it would cut the physics' calls of all robots in two.
@@ -121,8 +124,8 @@ def draw_scenario(
         push=(force[:, None] * jnp.stack([forward, left, jnp.zeros(robots)], axis=1))[:, None],
         push_start=start,
         push_stop=start + round(PUSH_S * physics_hz),
-        delay=jax.random.randint(delay_key, (robots,), 0, config.delay_steps(physics_hz) + 1) * acts,
-        ground=_draw_ground(config, terrain_key, acts),
+        delay=_up_to(delay_key, share * config.delay_steps(physics_hz)) * acts,
+        ground=_draw_ground(config, terrain_key, acts, share),
         kd_scale=jnp.full(robots, kd_scale),
     )
     if dynamics is None:
@@ -130,10 +133,19 @@ def draw_scenario(
     return vary(scenario, dynamics, jax.random.fold_in(key, _DYNAMICS_KEY), physics_hz)
 
 
-def _draw_ground(config: ScenarioConfig, key: jax.Array, acts: jax.Array) -> Ground:
-    """One of the kinds of terrain for each robot that `acts` [B] says, at one of nine levels, flat among them."""
+def _up_to(key: jax.Array, highest: jax.Array) -> jax.Array:
+    """Whole numbers from 0 to the highest, [B], uniform."""
+    # Rounded, for a share of 1 may be a little less in single precision.
+    return jax.random.randint(key, highest.shape, 0, jnp.floor(highest + 1e-3).astype(jnp.int32) + 1)
+
+
+def _draw_ground(config: ScenarioConfig, key: jax.Array, acts: jax.Array, share: jax.Array) -> Ground:
+    """One of the kinds of terrain for each robot that `acts` [B] says, at one of nine levels, flat among them.
+
+    Robots get the levels up to their `share` [B] of the highest.
+    """
     robots = len(acts)
-    level = acts * jax.random.randint(key, (robots,), 0, LEVELS + 1) / LEVELS
+    level = acts * _up_to(key, share * LEVELS) / LEVELS
     kind_key, side_key, seed_key = jax.random.split(jax.random.fold_in(key, 1), 3)
     kinds = config.terrains
     chosen = jax.random.randint(kind_key, (robots,), 0, max(len(kinds), 1))
