@@ -38,9 +38,9 @@ class ScenarioConfig(Checked):
     """Force of a push at the pelvis, N: horizontal, in any direction, for 0.2 s, one push after the
     other."""
     push_curriculum: bool = False
-    """Whether disturbances grow as robots learn to bear pushes. Every robot has a direction of its own that it is pushed
-    in, and a level, from 0.1 to 1: its pushes are drawn up to `push_n` times the level, which rises with each push that
-    is over and drops with each fall. Terrain and delay grow with it, from none at 0.1 to all at 0.4."""
+    """Whether disturbances grow as robots learn to bear pushes. Every robot has a direction of its own that it is
+    pushed in, and a level, from 0.1 to 1: its pushes are drawn up to `push_n` times the level, which rises with each
+    push that is over and drops with each fall. Terrain and delay grow with it, from none at 0.1 to all at 0.4."""
     undisturbed_share: Annotated[float, Range(0, 1)] = 0.0
     """Share of the robots that nothing of this disturbs, so that walking undisturbed is still practised."""
     push_backward: Annotated[float, Range(0, 1)] = 1.0
