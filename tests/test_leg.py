@@ -5,6 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from cassie_mjx.agents.controller import Controller
 from cassie_mjx.robot import cassie
 from cassie_mjx.robot.leg import pelvis_velocities, soles
 from cassie_mjx.robot.model import xml_path
@@ -44,3 +45,18 @@ def test_it_needs_neither_place_nor_velocity_of_the_pelvis(states):
     qpos, qvel = (part.copy() for part in states)
     qpos[:, :3], qvel[:, :3] = np.nan, np.nan
     np.testing.assert_array_equal(pelvis_velocities(qpos, qvel), pelvis_velocities(*states))
+
+
+def test_on_a_walk_the_lower_foot_tells_the_velocity_to_a_few_centimetres_a_second():
+    model = mujoco.MjModel.from_xml_path(str(xml_path("flat")))
+    data, controller, errors = mujoco.MjData(model), Controller.load("1x", model), []
+    data.qpos[:], data.qvel[:] = controller.initial_state(data.qpos, data.qvel)
+    while data.time < 1.4:
+        targets = controller.step(data.time, data.qpos, data.qvel)
+        data.ctrl[:] = controller.torque(targets, data.qpos, data.qvel) / cassie.GEAR
+        mujoco.mj_step(model, data)
+        lower = data.xpos[cassie.FOOT_BODIES, 2].argmin()
+        errors.append(pelvis_velocities(data.qpos[None], data.qvel[None])[0, lower] - data.qvel[:3])
+    # Of 0.7 m/s.
+    assert np.median(np.abs(errors), axis=0).max() < 0.02
+    assert np.quantile(np.abs(errors), 0.9, axis=0).max() < 0.05
