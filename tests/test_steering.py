@@ -223,6 +223,19 @@ def test_commands_change_at_a_limited_pace_and_the_reference_does_not_jump(motio
         np.testing.assert_allclose(later.forward, expected)
 
 
+def test_commands_grow_about_the_motions_own_speed(motion):
+    """Half of a range from -0.7 to 2.8 m/s about 0.71, of 0.4 m/s and of 0.8 rad/s, and half as many to stand."""
+    commands, own = command_range(motion, "1x", "joystick"), float(mean_speed(motion))
+    told = draw_command(motion, jax.random.key(0), 3000, commands, np.repeat([0.0, 0.5, 1.0], 1000))
+    none, half, whole = (np.asarray(told)[:, k * 1000 : (k + 1) * 1000] for k in range(3))
+    np.testing.assert_allclose(none, np.tile([[own], [0], [0], [0]], 1000), rtol=1e-6)
+    limits = [((own - 0.7) / 2, (own + 2.8) / 2), (-0.2, 0.2), (-0.4, 0.4)]
+    walks = half[:3].any(axis=0)
+    np.testing.assert_allclose([(part.min(), part.max()) for part in half[:3, walks]], limits, atol=1e-6)
+    assert abs(half[3].mean() - STILL_SHARE * STANDING_SHARE / 2) < 0.03
+    np.testing.assert_array_equal(whole, np.asarray(draw_command(motion, jax.random.key(0), 3000, commands))[:, 2000:])
+
+
 def test_the_leash_holds_to_the_side_where_the_command_steers(motion):
     lead, aside = np.array([0.5]), np.array([-0.7])
     for told, expected in (((0.7, 0.0, 0.0), 0.0), ((0.7, 0.1, 0.0), -0.4), ((0.7, 0.0, 0.1), -0.4)):

@@ -104,16 +104,21 @@ def draw_factor(key: jax.Array, robots: int, factors: tuple[float, float]) -> ja
     return jax.random.uniform(key, (robots,), minval=low - margin, maxval=high + margin).clip(low, high)
 
 
-def draw_command(motion: ReferenceMotion, key: jax.Array, robots: int, commands: CommandRange) -> Command:
-    """Commands from the range, leaves [robots]; each of their components is drawn as `draw_factor` does."""
-    told = command_of(motion, draw_factor(key, robots, commands.speeds))
+def draw_command(
+    motion: ReferenceMotion, key: jax.Array, robots: int, commands: CommandRange, share: Array | float = 1.0
+) -> Command:
+    """Commands from the range, leaves [robots]; each of their components is drawn as `draw_factor` does.
+
+    Robots have a `share` [robots] of the range about the motion's own speed straight ahead; 0 is that speed alone.
+    """
+    told = command_of(motion, (1 - share) + share * draw_factor(key, robots, commands.speeds))
     if commands.steering == STRAIGHT:
         return told
     lateral_key, yaw_key = jax.random.split(jax.random.fold_in(key, _STEERING_KEY))
-    sides = (draw_factor(each, robots, (-1.0, 1.0)) for each in (lateral_key, yaw_key))
+    sides = (share * draw_factor(each, robots, (-1.0, 1.0)) for each in (lateral_key, yaw_key))
     walking = steered(told.forward, commands.steering, *sides)
     still_key, stand_key = jax.random.split(jax.random.fold_in(key, _STAND_KEY))
-    still = jax.random.bernoulli(still_key, STILL_SHARE, (robots,))
+    still = jax.random.bernoulli(still_key, STILL_SHARE * share, (robots,))
     stand = jax.random.bernoulli(stand_key, STANDING_SHARE, (robots,)).astype(told.forward.dtype)
     return merge(still, Command.ahead(0 * told.forward)._replace(stand=stand), walking)
 
@@ -139,15 +144,20 @@ def paid(state: MotionState) -> jax.Array:
 
 
 def redraw_target(
-    motion: ReferenceMotion, state: MotionState, key: jax.Array, commands: CommandRange, mean_s: float
+    motion: ReferenceMotion,
+    state: MotionState,
+    key: jax.Array,
+    commands: CommandRange,
+    mean_s: float,
+    share: Array | float = 1.0,
 ) -> MotionState:
     """The same moment, after which some robots have another target: each every `mean_s` seconds on average.
 
-    Those that are told to stand have theirs `STANDING_TIMES` as long.
+    Those that are told to stand have theirs `STANDING_TIMES` as long. `share` is that of `draw_command`.
     """
     when_key, command_key = jax.random.split(key)
     targets = state.target_command
     lasts_s = mean_s * jnp.where(jnp.asarray(targets.stand) > 0, STANDING_TIMES, 1)
     new = jax.random.bernoulli(when_key, CONTROL_PERIOD_S / lasts_s, targets.forward.shape)
-    drawn = draw_command(motion, command_key, len(new), commands)
+    drawn = draw_command(motion, command_key, len(new), commands, share)
     return state._replace(target_command=merge(new, drawn, targets))

@@ -7,7 +7,7 @@ from cassie_mjx.control import command as motions
 from cassie_mjx.control.command import MotionState
 from cassie_mjx.control.path import out_of
 from cassie_mjx.envs import command, reward
-from cassie_mjx.envs.scenario import is_disturbed, next_level, renew_scenario
+from cassie_mjx.envs.scenario import grown, is_disturbed, next_level, renew_scenario
 from cassie_mjx.envs.task import COMMAND_KEY, NOISE_KEY, SCENARIO_KEY, Task, on_the_path
 from cassie_mjx.envs.termination import Ends, ends
 from cassie_mjx.envs.types import Start, StepOutcome
@@ -49,8 +49,8 @@ def post_physics(
     known = task.privileged(state, scenario, lead, qpos, qvel)
     state = _leashed(task, state, lead, aside)
     scenario, push_level = _renew(task, scenario, push_level, state, terminated, truncated, key)
-    state = _told(task, state, sensed_qvel, key)
-    start = _begin_anew(task, state, scenario, key)
+    state = _told(task, state, push_level, sensed_qvel, key)
+    start = _begin_anew(task, state, push_level, scenario, key)
     noise_key = jax.random.fold_in(key, NOISE_KEY)
     observation, sensing = task.observe(state, sensing, sensed_qpos, sensed_qvel, noise_key)
     causes = {name: cause.astype(earned.dtype) for name, cause in causes._asdict().items()}
@@ -122,22 +122,22 @@ def _renew(
     return renew_scenario(config, scenario_key, scenario, step, ended, hz, level, span), level
 
 
-def _told(task: Task, state: MotionState, qvel: jax.Array, key: jax.Array) -> MotionState:
+def _told(task: Task, state: MotionState, level: jax.Array, qvel: jax.Array, key: jax.Array) -> MotionState:
     """The same moment, with the command on its way to a target that may be a new one; qvel [B, 32] is sensed."""
     if task.command_s is None and task.commands.steering == STRAIGHT:
         return state
     if task.command_s is not None:
         target_key = jax.random.fold_in(key, COMMAND_KEY)
-        state = command.redraw_target(task.motion, state, target_key, task.commands, task.command_s)
+        state = command.redraw_target(task.motion, state, target_key, task.commands, task.command_s, grown(level))
     return motions.approach(task.motion, state, qvel)
 
 
-def _begin_anew(task: Task, state: MotionState, scenario: Scenario, key: jax.Array) -> Start:
+def _begin_anew(task: Task, state: MotionState, level: jax.Array, scenario: Scenario, key: jax.Array) -> Start:
     """New episodes, one a robot. Where commands change on the way, they go on with that of the last.
 
     So how long a speed is walked does not depend on how early its episodes end.
     """
-    time, drawn, offset = task.draw(key, len(state.time))
+    time, drawn, offset = task.draw(key, level)
     told = drawn if task.command_s is None else state.command
     start = task.start(time, told, offset, scenario, key)
     if task.command_s is None:

@@ -23,7 +23,7 @@ LEVELS = 8
 LEVEL_UP, LEVEL_DOWN, LEAST_LEVEL = 0.01, 0.04, 0.1
 """How a level of the curriculum moves: it settles where four of five pushes are survived."""
 ALL_LEVEL = 0.4
-"""The level of the curriculum from which on terrain and delay are drawn from their whole ranges."""
+"""The level of the curriculum from which on terrain, delay and commands are drawn from their whole ranges."""
 TRAINING_SEEDS = 4
 """Rough grounds that robots are trained on, of `ROUGH_SEEDS`."""
 # What the key of a scenario is folded with for the dynamics; up to 4 it would give the others' keys again.
@@ -40,7 +40,8 @@ class ScenarioConfig(Checked):
     push_curriculum: bool = False
     """Whether disturbances grow as robots learn to bear pushes. Every robot has a direction of its own that it is
     pushed in, and a level, from 0.1 to 1: its pushes are drawn up to `push_n` times the level, which rises with each
-    push that is over and drops with each fall. Terrain and delay grow with it, from none at 0.1 to all at 0.4."""
+    push that is over and drops with each fall. Terrain, delay and commands grow with it, from none, and the motion's
+    own speed straight ahead, at 0.1 to all at 0.4."""
     undisturbed_share: Annotated[float, Range(0, 1)] = 0.0
     """Share of the robots that nothing of this disturbs, so that walking undisturbed is still practised."""
     push_backward: Annotated[float, Range(0, 1)] = 1.0
@@ -114,7 +115,7 @@ def draw_scenario(
     if config.push_curriculum:
         # Each of the n disturbed robots has an n-th of the circle.
         angle = (2 * jnp.pi * jnp.arange(robots) + angle) / jnp.maximum(acts.sum(), 1)
-    share = jnp.clip((jnp.full(robots, level) - LEAST_LEVEL) / (ALL_LEVEL - LEAST_LEVEL), 0, 1)
+    share = grown(jnp.full(robots, level))
     forward, left = jnp.cos(angle), jnp.sin(angle)
     forward *= jnp.where(forward < 0, config.push_backward, 1)
     # A push starts with a control step: within one, it would cut the physics' calls of all robots in two.
@@ -165,6 +166,11 @@ def _draw_ground(config: ScenarioConfig, key: jax.Array, acts: jax.Array, share:
 def first_level(config: ScenarioConfig, robots: int) -> jax.Array:
     """The levels of the curriculum that training begins with, [robots]; 1 without one."""
     return jnp.full(robots, LEAST_LEVEL if config.push_curriculum else 1.0)
+
+
+def grown(level: jax.Array) -> jax.Array:
+    """The share, 0 to 1, of the ranges that robots of these levels [B] have of all but pushes, [B]."""
+    return jnp.clip((level - LEAST_LEVEL) / (ALL_LEVEL - LEAST_LEVEL), 0, 1)
 
 
 def next_level(config: ScenarioConfig, level: jax.Array, present: Scenario, step: Array, fallen: Array) -> jax.Array:

@@ -18,6 +18,7 @@ from cassie_mjx.control.path import Path, into, out_of
 from cassie_mjx.envs import command, privileged
 from cassie_mjx.envs.command import CommandRange
 from cassie_mjx.envs.config import WalkConfig
+from cassie_mjx.envs.scenario import grown
 from cassie_mjx.envs.start import draw_offset
 from cassie_mjx.envs.types import Start, StartOffset
 from cassie_mjx.motion.command import Command
@@ -80,13 +81,15 @@ class Task:
         reference, _ = motions.reference(self.motion, state, ahead=1)
         return target(reference, self.law.residual(reference, action))
 
-    def draw(self, key: jax.Array, robots: int) -> tuple[jax.Array, Command, StartOffset]:
-        """Phase [robots], command and offset from the reference of new episodes.
+    def draw(self, key: jax.Array, level: jax.Array) -> tuple[jax.Array, Command, StartOffset]:
+        """Phase [B], command and offset from the reference of new episodes of robots at these levels [B].
 
-        `robots` is a device's share of the B robots if there are several.
+        B are a device's share of the robots if there are several.
         """
+        robots = len(level)
         time = jax.random.randint(key, (robots,), 0, self.samples)
-        told = command.draw_command(self.motion, jax.random.fold_in(key, SPEED_KEY), robots, self.commands)
+        speed_key = jax.random.fold_in(key, SPEED_KEY)
+        told = command.draw_command(self.motion, speed_key, robots, self.commands, grown(level))
         velocity_key, place_key = (jax.random.fold_in(key, number) for number in (VELOCITY_KEY, OFFSET_KEY))
         return time, told, draw_offset(self.config, velocity_key, place_key, robots)
 

@@ -71,7 +71,8 @@ class WalkEnv:
 
     def reset(self, key: jax.Array) -> WalkState:
         """Robots near the reference motion: phase, command, offset from it and scenario are drawn at random."""
-        time, told, offset = self.task.draw(key, self.robots)
+        level = first_level(self.config.scenario, self.robots)
+        time, told, offset = self.task.draw(key, level)
         scenario = Scenario.nominal(self.robots, kd_scale=np.asarray(self.config.kd_scale))
         if self.config.draws:
             config, scenario_key = self.config, jax.random.fold_in(key, SCENARIO_KEY)
@@ -81,7 +82,7 @@ class WalkEnv:
                 self.robots,
                 self.task.physics_hz,
                 config.kd_scale,
-                first_level(config.scenario, self.robots),
+                level,
                 config.span,
             )
         return self.reset_at(time, scenario, told, offset, key)
