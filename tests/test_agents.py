@@ -51,7 +51,7 @@ def test_the_controller_starts_along_its_stride_and_walks_on(model):
 
 @pytest.mark.parametrize("name", ["stiff", "controller:soft", "runs/none"])
 def test_an_unknown_policy_gets_one_sentence(name):
-    known = "0x, 1x, 1x-robust, 2x, 3x, 4x, any, joystick, controller:stiff, controller:compliant"
+    known = "0x, 1x, 1x-robust, 1x-sensors, 2x, 3x, 4x, any, joystick, controller:stiff, controller:compliant"
     with pytest.raises(ValueError, match=f"policy={name} is none of {known}, nor"):
         make_agent(name)
 

@@ -71,7 +71,7 @@ def test_an_unknown_policy_ends_the_command_with_one_sentence(tmp_path):
     command = [sys.executable, "-m", "cassie_mjx.evaluate", "policy=9x", f"out={tmp_path}/a.json", "overwrite=true"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    known = "0x, 1x, 1x-robust, 2x, 3x, 4x, any, joystick, controller:stiff,"
+    known = "0x, 1x, 1x-robust, 1x-sensors, 2x, 3x, 4x, any, joystick, controller:stiff,"
     assert done.stderr.splitlines()[-1].startswith(f"error: policy=9x is none of {known}")
     assert "Traceback" not in done.stderr
     assert (tmp_path / "a.json").read_text() == "precious"

@@ -218,7 +218,7 @@ def test_bad_blends_get_one_sentence(policy_files, motions, tmp_path):
         make_agent(f"blend:{first},{second}")
     with pytest.raises(ValueError, match="a blend, and nothing else, takes schedule=ramp or adaptive"):
         make_agent(first, schedule="ramp")
-    known = "0x, 1x, 1x-robust, 2x, 3x, 4x, any, joystick, controller:stiff"
+    known = "0x, 1x, 1x-robust, 1x-sensors, 2x, 3x, 4x, any, joystick, controller:stiff"
     with pytest.raises(ValueError, match=f"policy=runs/none is none of {known}"):
         make_agent(f"blend:{first},runs/none", schedule="ramp")
     with pytest.raises(ValueError, match="name its policies from the slowest to the fastest"):

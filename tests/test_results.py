@@ -232,3 +232,23 @@ def test_the_guide_names_the_study_of_the_robust_policy():
     text = (ROOT / "docs" / "train.md").read_text()
     (study,) = set(re.findall(r"experiments\.learning study=(\w+)", text))
     assert studies.STUDIES[study][-1].name == "1x-robust"
+
+
+def test_the_guide_has_the_figures_of_the_policy_on_sensors():
+    text, found = (ROOT / "docs" / "train.md").read_text(), {}
+    for suite in ("walk", "dynamics", "sensors"):
+        found |= {row["quantity"]: row["value"] for row in rows(f"sensors/1x-sensors-seed0-{suite}")}
+    table = text.partition("| `1x-sensors` (seed 0")[2].partition("\n\n")[0]
+    cells = [line.split("|")[2].strip() for line in table.splitlines()[2:]]
+    percent = {name: f"{100 * value:.0f} %" for name, value in found.items() if "survived" in name}
+    assert cells == [
+        f"{found['return_plain']:.1f} and {found['return_weighted']:.1f}",
+        f"{found['drift_m']:.3f}",
+        ", ".join(percent[f"dynamics_{name}_survived"] for name in ("moderate", "wide")),
+        ", ".join(percent[f"sensors_noise_x{factor}_survived"] for factor in (1, 2, 4)),
+        percent["sensors_tilt_0.1rad_survived"],
+        percent["sensors_offset_0.03rad_survived"],
+        percent["sensors_drift_survived_60s"],
+    ]
+    full = [row["value"] for seed in range(10) for row in rows(f"evaluate/1x-seed{seed}", quantity="return_plain")]
+    assert found["return_plain"] > 0.97 * statistics.mean(full)
