@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin/python
 # Of the page; it begins with joystick.
-POLICIES := joystick 1x-robust any 1x
+POLICIES := joystick 1x-robust 1x-sensors any 1x
 
 .DEFAULT_GOAL := help
 .PHONY: help setup train test test-all lint bench report site docs clean

@@ -9,7 +9,15 @@ import pytest
 
 from cassie_mjx.envs import reward
 from cassie_mjx.envs.config import WalkConfig
-from cassie_mjx.envs.scenario import LEVEL_DOWN, LEVEL_UP, ScenarioConfig, draw_scenario, next_level, renew_scenario
+from cassie_mjx.envs.scenario import (
+    LEVEL_DOWN,
+    LEVEL_UP,
+    ScenarioConfig,
+    draw_scenario,
+    first_level,
+    next_level,
+    renew_scenario,
+)
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.files import load_motion
 from cassie_mjx.motion.reference import sample
@@ -110,8 +118,11 @@ def test_a_level_rises_with_a_push_that_is_over_and_drops_with_a_fall():
     present = replace(Scenario.nominal(4), push_stop=np.full((4, 1), 100, np.int32))
     level, step = jnp.array([0.5, 0.5, 0.12, 0.995]), np.array([99, 100, 99, 100])
     fallen = np.array([False, False, True, False])
-    curriculum = ScenarioConfig(push_curriculum=True)
+    curriculum = ScenarioConfig(push_n=100, push_curriculum=True)
     np.testing.assert_allclose(next_level(curriculum, level, present, step, fallen), [0.5, 0.51, 0.1, 1.0], rtol=1e-6)
+    alone = ScenarioConfig(push_curriculum=True)
+    np.testing.assert_array_equal(next_level(alone, level, present, step, fallen), level, "nothing raises it")
+    assert (first_level(alone, 4) == 1).all()
     # Four pushes borne and one not: the level is where it was.
     np.testing.assert_allclose(4 * LEVEL_UP, LEVEL_DOWN)
 

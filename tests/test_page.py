@@ -287,6 +287,12 @@ def test_the_page_has_a_policy_of_each_kind_of_place(tmp_path, capsys):
             ExportConfig(policy="1x", out=out, web=web)
 
 
+def test_a_network_that_the_page_has_not_is_refused(monkeypatch):
+    monkeypatch.setattr(web_file, "KIND", "perceptron, ELU")
+    with pytest.raises(ValueError, match=r"teach `page/src/control/network\.js` a perceptron, ELU"):
+        web_file.content(Controller.load("1x").policy, "1x")
+
+
 def test_terms_that_the_page_cannot_compute_are_refused():
     first, *others = OBSERVATIONS["full"].terms
     squared = replace(first, compute=lambda seen: first.compute(seen) ** 2)

@@ -126,7 +126,7 @@ def test_a_policy_of_another_version_gets_one_sentence(policies, tmp_path, serve
     browser = opened(served)
     until(lambda: seconds(browser) > 0.5)
     for file, sentence in (
-        (other, "This policy's file is of version 99, and this page reads version 2 alone; export it anew."),
+        (other, "This policy's file is of version 99, and this page reads version 3 alone; export it anew."),
         (damaged, "This policy's file is damaged (the sizes of its network do not fit together); export it anew."),
         (Path(__file__), "This file is no policy for this page; export one with web=FOLDER."),
     ):

@@ -67,6 +67,19 @@ def test_it_takes_the_input_statistics_of_its_own_task_and_stays_the_same_policy
     assert np.abs(normalizer.normalize(after.normalizer, seen)).max() < normalizer.CLIP
 
 
+def test_a_curriculum_has_the_input_statistics_of_its_end(tmp_path):
+    """Training begins with 0.7 m/s alone; commands go from -0.7 to 2.8 m/s."""
+    walk = WalkConfig(scenario=ScenarioConfig(push_n=100, push_curriculum=True))
+    ppo = replace(TINY, num_robots=64, normalizer_samples=4096)
+    begun = session(tmp_path, command="joystick", walk=walk, ppo=ppo)
+    run = begun.trainer.gather_statistics(begun.run)
+    velocity, statistics = 46, run.learner.policy.normalizer  # of the reference, along x
+    commands = np.array([begun.run.env.observation[:, velocity], run.env.observation[:, velocity]])
+    assert commands.std() < 0.1, "robots begin at the motion's own speed"
+    fastest = (2.8 - statistics.mean[velocity]) / normalizer.std(statistics)[velocity]
+    assert 1 < fastest < 4
+
+
 def test_inputs_that_are_clipped_are_told_to_the_user(first, tmp_path):
     """Statistics of 1x, moved by 20 deviations in one input of 80: it is clipped in every sample."""
     begun = session(tmp_path, init=str(first), seed=5)

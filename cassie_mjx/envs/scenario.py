@@ -40,8 +40,9 @@ class ScenarioConfig(Checked):
     push_curriculum: bool = False
     """Whether disturbances grow as robots learn to bear pushes. Every robot has a direction of its own that it is
     pushed in, and a level, from 0.1 to 1: its pushes are drawn up to `push_n` times the level, which rises with each
-    push that is over and drops with each fall. Terrain, delay and commands grow with it, from none, and the motion's
-    own speed straight ahead, at 0.1 to all at 0.4."""
+    push that is over and drops with each fall. Terrain, delay and the range of commands grow with it:
+    at 0.1 there is neither of the first two, and the command is the motion's own speed straight ahead; from 0.4 on all
+    are whole."""
     undisturbed_share: Annotated[float, Range(0, 1)] = 0.0
     """Share of the robots that nothing of this disturbs, so that walking undisturbed is still practised."""
     push_backward: Annotated[float, Range(0, 1)] = 1.0
@@ -136,7 +137,7 @@ def draw_scenario(
 
 def _up_to(key: jax.Array, highest: jax.Array) -> jax.Array:
     """Whole numbers from 0 to the highest, [B], uniform."""
-    # Rounded, for a share of 1 may be a little less in single precision.
+    # A share of 1 may be a little less in single precision, and floor would lose the highest.
     return jax.random.randint(key, highest.shape, 0, jnp.floor(highest + 1e-3).astype(jnp.int32) + 1)
 
 
@@ -164,8 +165,8 @@ def _draw_ground(config: ScenarioConfig, key: jax.Array, acts: jax.Array, share:
 
 
 def first_level(config: ScenarioConfig, robots: int) -> jax.Array:
-    """The levels of the curriculum that training begins with, [robots]; 1 without one."""
-    return jnp.full(robots, LEAST_LEVEL if config.push_curriculum else 1.0)
+    """The levels of the curriculum that training begins with, [robots]; 1 without one, and where nothing disturbs."""
+    return jnp.full(robots, LEAST_LEVEL if config.push_curriculum and config.active else 1.0)
 
 
 def grown(level: jax.Array) -> jax.Array:
@@ -183,7 +184,7 @@ def next_level(config: ScenarioConfig, level: jax.Array, present: Scenario, step
       step: physics steps since the start of the episode, [B].
       fallen: [B], bool.
     """
-    if not config.push_curriculum:
+    if not (config.push_curriculum and config.active):
         return level
     over = present.push_stop[:, 0] <= step
     return jnp.clip(level + LEVEL_UP * over - LEVEL_DOWN * fallen, LEAST_LEVEL, 1)

@@ -63,7 +63,7 @@ class WalkState:
       physics: state of the engine.
       scenario: what differs from robot to robot.
       motion: where they are along the reference motion, and their commands.
-      push_level: of the curriculum of pushes, [B], 0.1 to 1; 1 without one.
+      push_level: of the curriculum, [B], 0.1 to 1; 1 without one. Pushes, terrain, delay and commands follow it.
       sensing: what the observation carries from step to step, [B, H - 1, F]; empty without history.
       observation: what the policy acts on next, [B, O]; in a symmetric task as `ControlLaw.observe` gives it, in a
         mirror where the reference is in its second step, and so is the final one.

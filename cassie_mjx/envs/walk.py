@@ -69,9 +69,14 @@ class WalkEnv:
         self._outcome = jax.jit(partial(post_physics, self.task))
         self._start = jax.jit(self.task.start)
 
-    def reset(self, key: jax.Array) -> WalkState:
-        """Robots near the reference motion: phase, command, offset from it and scenario are drawn at random."""
-        level = first_level(self.config.scenario, self.robots)
+    def reset(self, key: jax.Array, level: Array | None = None) -> WalkState:
+        """Robots near the reference motion: phase, command, offset from it and scenario are drawn at random.
+
+        Args:
+          key: used up here.
+          level: of the curriculum, [B]; the one that training begins with unless given.
+        """
+        level = first_level(self.config.scenario, self.robots) if level is None else jnp.asarray(level, jnp.float32)
         time, told, offset = self.task.draw(key, level)
         scenario = Scenario.nominal(self.robots, kd_scale=np.asarray(self.config.kd_scale))
         if self.config.draws:
@@ -85,7 +90,7 @@ class WalkEnv:
                 level,
                 config.span,
             )
-        return self.reset_at(time, scenario, told, offset, key)
+        return replace(self.reset_at(time, scenario, told, offset, key), push_level=level)
 
     def reset_at(
         self,

@@ -15,6 +15,7 @@ from cassie_mjx.agents.shipped import existing_policy
 from cassie_mjx.control.law import ControlLaw
 from cassie_mjx.envs.command import command_range
 from cassie_mjx.envs.termination import Ends
+from cassie_mjx.envs.types import WalkState
 from cassie_mjx.envs.walk import WalkEnv
 from cassie_mjx.motion.reference import ReferenceMotion
 from cassie_mjx.physics.make import ENGINES, make_physics
@@ -160,23 +161,29 @@ class Trainer:
         state = learner.init(init_key, self.config.ppo, *sizes)
         if policy is not None:
             state = state._replace(policy=policy._replace(std=state.policy.std))
-        robots = rollout.begin(state.policy, env_state)
-        if self.env.physics.traceable:
-            robots = jax.tree.map(jnp.asarray, robots)
+        robots = self._begin(state.policy, env_state)
         return self.place(RunState(state, robots.env, jax.random.key_data(run_key), robots.hidden))
 
     def gather_statistics(self, run: RunState) -> RunState:
         """The run with the input statistics of the states that a random policy visits, or the policy begun with.
 
-        Such a policy is the same function of the state afterwards, wherever its inputs were not clipped.
+        They are of robots at the end of a curriculum, whose commands and disturbances are drawn from the whole ranges.
+        A policy begun with is the same function of the state afterwards, wherever its inputs were not clipped.
         """
-        _, _, statistics_key, _ = self._keys()
+        _, reset_key, statistics_key, _ = self._keys()
         policy, samples = run.learner.policy, self.config.ppo.normalizer_samples
+        robots = self._begin(policy, self.env.reset(reset_key, np.ones(self.env.robots)))
+        robots = self.place(run._replace(env=robots.env, hidden=robots.hidden)).robots
         begun_with = policy.normalizer.samples > 0
         visit = rollout.policy_statistics if begun_with else rollout.random_policy_statistics
-        statistics = visit(self.collect, policy, run.robots, statistics_key, samples)
+        statistics = visit(self.collect, policy, robots, statistics_key, samples)
         policy = networks.renormalize(policy, statistics) if begun_with else policy._replace(normalizer=statistics)
         return run._replace(learner=self._shared(run.learner._replace(policy=policy)))
+
+    def _begin(self, policy: Policy, env_state: WalkState) -> Robots:
+        """Robots at the start of an episode, of which a policy carries nothing yet."""
+        robots = rollout.begin(policy, env_state)
+        return jax.tree.map(jnp.asarray, robots) if self.env.physics.traceable else robots
 
     def place(self, run: RunState) -> RunState:
         """A run with all robots, each part of it where it belongs: of robots on the host, this process' share."""
