@@ -182,6 +182,12 @@ NOISE_QPOS[cassie.PELVIS_POSITION], NOISE_QVEL[cassie.PELVIS_VELOCITY] = NOISE["
 NOISE_QPOS[cassie.PELVIS_QUATERNION], NOISE_QVEL[cassie.PELVIS_ANGULAR_VELOCITY] = NOISE["1"], NOISE["rad/s"]
 NOISE_QPOS[cassie.ENCODER_QPOS], NOISE_QVEL[cassie.qvel_index(*cassie.ENCODERS)] = NOISE["rad"], NOISE["rad/s"]
 
+
+def with_noise(qpos: Array, qvel: Array, noise: Array) -> tuple[Array, Array]:
+    """States qpos [B, 35] and qvel [B, 32] as sensed with noise [B, 67], in half-widths."""
+    return qpos + NOISE_QPOS * noise[:, : cassie.NQ], qvel + NOISE_QVEL * noise[:, cassie.NQ :]
+
+
 HISTORY = 4
 """Control steps that "sensors_history" has of what is sensed, the present one included: 0.128 s."""
 

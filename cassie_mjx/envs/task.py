@@ -13,7 +13,7 @@ import numpy as np
 from cassie_mjx.control import command as motions
 from cassie_mjx.control.command import MotionState
 from cassie_mjx.control.law import ControlLaw, second_step, target
-from cassie_mjx.control.observation import NOISE_QPOS, NOISE_QVEL, OBSERVATIONS, Seen
+from cassie_mjx.control.observation import OBSERVATIONS, Seen, with_noise
 from cassie_mjx.control.path import Path, into, out_of
 from cassie_mjx.envs import command, privileged
 from cassie_mjx.envs.command import CommandRange
@@ -123,7 +123,8 @@ class Task:
         """
         ahead = motions.reference(self.motion, state, ahead=1)
         if key is not None and self.law.observation.noisy:
-            qpos, qvel = _noisy(key, qpos, qvel)
+            noise = jax.random.uniform(key, (len(qpos), cassie.NQ + cassie.NV), minval=-1.0)
+            qpos, qvel = with_noise(qpos, qvel, noise)
         seen = Seen(*into(state.path, qpos, qvel), *ahead, state.command)
         return self.law.observe(self.law.init(seen) if sensing is None else sensing, seen)
 
@@ -150,12 +151,6 @@ class Task:
             if scenario.dynamics is not None:
                 seen.append(privileged.dynamics(scenario.dynamics, self.mass_share, self.timestep, mirrored))
         return jnp.concatenate(seen, axis=1)
-
-
-def _noisy(key: jax.Array, qpos: jax.Array, qvel: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """States qpos [B, 35] and qvel [B, 32] as sensed with noise (`control.observation.NOISE`)."""
-    noise = jax.random.uniform(key, (len(qpos), cassie.NQ + cassie.NV), minval=-1.0)
-    return qpos + NOISE_QPOS * noise[:, : cassie.NQ], qvel + NOISE_QVEL * noise[:, cassie.NQ :]
 
 
 def on_the_path(path: Path, qpos: jax.Array, qvel: jax.Array, ground: Ground) -> jax.Array:

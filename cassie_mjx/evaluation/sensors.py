@@ -9,7 +9,7 @@ import numpy as np
 
 from cassie_mjx.agents.delegating import Delegating
 from cassie_mjx.agents.types import Agent, AgentState, Carry, Sensed
-from cassie_mjx.control.observation import NOISE_QPOS, NOISE_QVEL
+from cassie_mjx.control.observation import with_noise
 from cassie_mjx.evaluation.scheduler import run_trials
 from cassie_mjx.evaluation.setup import LIMIT_PHASES, LONG_WALK_S, WALK_S, EvalSetup, SuiteResult
 from cassie_mjx.evaluation.trial import Metric, Trial, take
@@ -66,7 +66,7 @@ class SensorErrors(NamedTuple):
         gyro = in_frame(tilted(_UPRIGHT, self.tilt), qvel[:, cassie.PELVIS_ANGULAR_VELOCITY])
         first, *_, last = cassie.PELVIS_ANGULAR_VELOCITY
         turning = jnp.concatenate([qvel[:, :first], gyro, qvel[:, last + 1 :]], axis=1)
-        return leaning + off[:, : cassie.NQ] * NOISE_QPOS, turning + off[:, cassie.NQ :] * NOISE_QVEL
+        return with_noise(leaning, turning, off)
 
 
 class MisledCarry(NamedTuple):

@@ -108,14 +108,7 @@ def update(
     size = config.minibatch_size // (config.sequence_steps * devices)
     rows = _shuffled_rows(key, batch.log_prob.shape[0], config.updates_per_iteration, size)
     trained, losses = jax.lax.scan(train_on, state, rows)
-    log_prob = _log_prob(trained.policy, batch)
-    local = {
-        **_rollout_metrics(rollout),
-        "actor_loss": losses.actor.mean(),
-        "critic_loss": losses.critic.mean(),
-        "kl": loss.kl_estimate(log_prob, batch.log_prob),
-        "clip_fraction": loss.clip_fraction(log_prob, batch.log_prob, config.clip_epsilon),
-    }
+    local = _rollout_metrics(rollout) | _fit_metrics(config, trained.policy, batch, losses)
     metrics = UpdateMetrics(
         **average(local, axis_name),
         explained_variance=explained_variance,
@@ -207,6 +200,17 @@ def _rows(config: PPOConfig, batch: _Batch) -> _Batch:
 def _rollout_metrics(rollout: Rollout) -> dict[str, Float[Array, ""]]:
     ended = {name: getattr(rollout, name).mean(dtype=jnp.float32) for name in ("terminated", "truncated")}
     return {"reward": rollout.reward.mean(), **ended}
+
+
+def _fit_metrics(config: PPOConfig, policy: Policy, batch: _Batch, losses: _Losses) -> dict[str, Float[Array, ""]]:
+    """How well the updates went, and how far they took the policy from the one that collected the batch."""
+    log_prob = _log_prob(policy, batch)
+    return {
+        "actor_loss": losses.actor.mean(),
+        "critic_loss": losses.critic.mean(),
+        "kl": loss.kl_estimate(log_prob, batch.log_prob),
+        "clip_fraction": loss.clip_fraction(log_prob, batch.log_prob, config.clip_epsilon),
+    }
 
 
 def _critic_inputs(

@@ -1,5 +1,7 @@
 """Quaternions w x y z and headings, for NumPy and JAX arrays alike."""
 
+import numpy as np
+
 from cassie_mjx.robot.arrays import Array, namespace
 
 
@@ -39,20 +41,18 @@ def tilted(quaternion: Array, tilt: Array) -> Array:
     )
 
 
-def in_frame(quaternion: Array, vector: Array) -> Array:
-    """Vectors of the world, [..., 3], in frames with these orientations [..., 4]."""
-    xp, w, u = namespace(quaternion, vector), quaternion[..., :1], quaternion[..., 1:]
-    # R^T v = v + w t + t x u, with t = 2 v x u
-    t = 2 * xp.cross(vector, u)
-    return vector + w * t + xp.cross(t, u)
-
-
 def rotated(quaternion: Array, vector: Array) -> Array:
     """Vectors in frames with these orientations [..., 4], [..., 3], in the world."""
     xp, w, u = namespace(quaternion, vector), quaternion[..., :1], quaternion[..., 1:]
     # R v = v + w t + u x t, with t = 2 u x v
     t = 2 * xp.cross(u, vector)
     return vector + w * t + xp.cross(u, t)
+
+
+def in_frame(quaternion: Array, vector: Array) -> Array:
+    """Vectors of the world, [..., 3], in frames with these orientations [..., 4]."""
+    # R^T is the rotation of the conjugate.
+    return rotated(quaternion * np.array([1, -1, -1, -1]), vector)
 
 
 def up_in_body(quaternion: Array) -> Array:
